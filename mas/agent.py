@@ -144,6 +144,13 @@ class Agent:
         return not self._behind() and not self.places.widening and not self.places.unasked
 
     @property
+    def held_matches(self) -> frozenset[MatchId]:
+        """Accepted matches that its poses hold: an optimisation or an update has taken them in, as far as it knows."""
+        updates = self.optimisation.running.updates
+        updated = updates.matches if updates.settled else frozenset()
+        return frozenset(self.state.accepted - (self.pending.matches - updated))
+
+    @property
     def waiting(self) -> bool:
         """Whether others owe it an answer: it wants to be reminded."""
         return self.context.retransmitter.owed or self.optimisation.waits or self.call_queue.waiting

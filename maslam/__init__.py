@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .api.odometry import Odometry
     from .api.pipeline import preprocess, run, slam
     from .api.results import AgentResult, MatchResult, Run, Sequences
+    from .api.watch import Watch
     from .api.worlds import render
     from .backend.central.optimise import OptimisationResult
     from .backend.distributed.exchange import GroupResult
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from .mas.config import MasConfig
     from .mas.evaluation.summary import Summary
     from .mas.live.team_pose import TeamMap, TeamPose
+    from .mas.live.topic_reader import AgentMap, AgentPose
     from .mas.policies.base import Outlook, Policy
     from .mas.policies.presets import preset
     from .mas.protocol.messages import Bid
@@ -61,6 +63,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Agent",
+    "AgentMap",
+    "AgentPose",
     "AgentResult",
     "AgentState",
     "Bid",
@@ -99,6 +103,7 @@ __all__ = [
     "Trajectory",
     "TrajectoryError",
     "Transport",
+    "Watch",
     "__version__",
     "evaluate",
     "export",
@@ -124,6 +129,7 @@ _PLACES = {
     "api.odometry": ("Odometry",),
     "api.pipeline": ("preprocess", "run", "slam"),
     "api.results": ("AgentResult", "MatchResult", "Run", "Sequences"),
+    "api.watch": ("Watch",),
     "api.worlds": ("render",),
     "backend.central.optimise": ("OptimisationResult",),
     "backend.distributed.exchange": ("GroupResult",),
@@ -143,6 +149,7 @@ _PLACES = {
     "mas.config": ("MasConfig",),
     "mas.evaluation.summary": ("Summary",),
     "mas.live.team_pose": ("TeamMap", "TeamPose"),
+    "mas.live.topic_reader": ("AgentMap", "AgentPose"),
     "mas.policies.base": ("Outlook", "Policy"),
     "mas.policies.presets": ("preset",),
     "mas.protocol.messages": ("Bid",),

@@ -9,6 +9,7 @@ from pydantic import Field
 from maslam._settings import Settings
 
 from ..config import LinkConfig
+from .topics import LiveTopic
 
 LINKS: dict[str, LinkConfig] = {
     "cable": LinkConfig(repeat_s=0.2, repeat_max_s=3.0, silence_s=5.0),
@@ -29,6 +30,12 @@ class LiveConfig(Settings):
     )
     settle_s: float = Field(
         default=2.0, ge=0, description="nobody has anything left to do for so long: the agent ends, seconds"
+    )
+    publish: frozenset[LiveTopic] = Field(
+        default=frozenset(), description="topics of a live agent that are given out while somebody listens: pose, map"
+    )
+    map_each_s: float = Field(
+        default=10.0, gt=0, description="a map that has changed is given out so long after the one before, seconds"
     )
     alone_s: float = Field(
         default=30.0, ge=0, description="so long an agent waits for a first neighbour before it ends alone, seconds"

@@ -114,11 +114,11 @@ class Credentials:
 
     def greeting(self, session: SessionKey, language: int) -> bytes:
         """What to show to another agent."""
-        from cryptography.hazmat.primitives import hashes, serialization
+        from cryptography.hazmat.primitives import hashes
         from cryptography.hazmat.primitives.asymmetric import ec
 
         assert isinstance(self._key, ec.EllipticCurvePrivateKey)
-        certificate = self._certificate.public_bytes(serialization.Encoding.DER)
+        certificate = self.certificate
         signature = self._key.sign(_SIGNED + session.public, ec.ECDSA(hashes.SHA256()))
         return msgspec.msgpack.encode(Greeting(certificate, session.public, signature, VERSION, language))
 
@@ -145,11 +145,7 @@ class Credentials:
         except (msgspec.MsgspecError, ValueError, TypeError) as error:
             log.info("greeting: %s", error)
             raise CredentialsError("a greeting that cannot be read: of another version of maslam?") from error
-        if certificate.serial_number in self.revocations.newest.serials:
-            raise RevokedCertificateError("its certificate was revoked")
-        wrong = _not_now(certificate)
-        if wrong:
-            raise CredentialsError(f"its certificate {wrong}")
+        self._check_now(certificate)
         number, team = self._names(certificate, "a certificate")
         if team != self.team:
             raise CredentialsError(f"agent {number} is of team {team!r}, not {self.team!r}")
@@ -161,6 +157,30 @@ class Credentials:
             certificate.serial_number,
             greeting.certificate,
         )
+
+    @property
+    def certificate(self) -> bytes:
+        """The agent's own (DER)."""
+        from cryptography.hazmat.primitives import serialization
+
+        return self._certificate.public_bytes(serialization.Encoding.DER)
+
+    def check_valid(self, certificate: bytes) -> None:
+        """:class:`CredentialsError` where a certificate (DER) was revoked or is not valid now."""
+        from cryptography import x509
+
+        try:
+            shown = x509.load_der_x509_certificate(certificate)
+        except (ValueError, TypeError) as error:
+            raise CredentialsError("a certificate that cannot be read") from error
+        self._check_now(shown)
+
+    def _check_now(self, certificate: Certificate) -> None:
+        if certificate.serial_number in self.revocations.newest.serials:
+            raise RevokedCertificateError("its certificate was revoked")
+        wrong = _not_now(certificate)
+        if wrong:
+            raise CredentialsError(f"its certificate {wrong}")
 
     def sign(self, digest: bytes) -> bytes:
         """This agent's signature, in its own name."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from .framing import (
     PIECE_BYTES,
     DrivePhase,
@@ -16,22 +14,12 @@ from .framing import (
     RevokedNotice,
     RevokedReceived,
     bundled,
-    pack_frame,
 )
 from .pieces import PieceReceiver, PieceSender
 from .seals import Seals
 
 # A phase that is not acknowledged is sent again after this.
 _REPEAT_NS = 500_000_000
-
-
-@dataclass
-class FrameCount:
-    """``messages``: bytes of messages; ``frames``: bytes of all frames with their codes; both of one direction."""
-
-    messages: int = 0
-    frames: int = 0
-    count: int = 0
 
 
 class Session:
@@ -82,7 +70,7 @@ class Session:
         """Whether the last announcement is not acknowledged."""
         return self._notice is not None
 
-    def outgoing(self, now_ns: int) -> list[bytes]:
+    def outgoing(self, now_ns: int) -> list[Frame]:
         """Frames to send now."""
         frames: list[Frame] = [*self._answers, *bundled(self._short)]
         self._answers, self._short = [], []
@@ -93,7 +81,7 @@ class Session:
             self._list_ns = now_ns
             frames.append(RevokedNotice(self._list[1]))
         frames += self._sender.due(now_ns)
-        return [pack_frame(frame) for frame in frames]
+        return frames
 
     def incoming(self, frame: Frame, now_ns: int) -> list[bytes]:
         """Take a frame; returns the messages that it brings or completes."""

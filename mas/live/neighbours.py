@@ -10,8 +10,9 @@ from ..protocol.messages import VERSION
 from ..transport.link import Arrived, Link, Presence
 from .acquaintance import TWICE, Acquaintance, process_code
 from .credentials import Credentials, CredentialsError, RevokedCertificateError, Stranger
-from .framing import DrivePhase, FrameError, RevokedNotice, RevokedReceived, unpack_frame
-from .neighbour import FrameCount, Session
+from .framing import DrivePhase, Frame, FrameError, RevokedNotice, RevokedReceived, pack_frame, unpack_frame
+from .link_bytes import LinkBytes
+from .neighbour import Session
 from .own_name import GREETING, OwnName
 from .revocation import UnsignedListError
 from .seals import SealError, SessionKey
@@ -42,9 +43,8 @@ class Neighbours:
     def __init__(self, credentials: Credentials, language: int, link: Link, max_message_bytes: int) -> None:
         self.me = credentials.number
         self.phase = DrivePhase.DRIVING
-        self.out: dict[int, FrameCount] = {}
-        self.into: dict[int, FrameCount] = {}
-        self.greeting_bytes = 0
+        self.out: dict[int, LinkBytes] = {}
+        self.into: dict[int, LinkBytes] = {}
         self.refused = 0
         self.credentials = credentials
         self._link = link
@@ -63,7 +63,7 @@ class Neighbours:
         known = self._known.get(other)
         if known is not None and known.session is not None and known.here:
             known.session.put(message)
-            self.out.setdefault(other, FrameCount()).messages += len(message)
+            self.out.setdefault(other, LinkBytes()).message_bytes += len(message)
 
     def announce(self, phase: DrivePhase) -> None:
         """Say to all how far I am."""
@@ -119,6 +119,7 @@ class Neighbours:
             known.changed(came.process, came.here)
             return [Met(sender)] if self._choose(sender, known, time.monotonic_ns()) else []
         if came.data[:1] == GREETING:
+            self.into.setdefault(sender, LinkBytes()).greeting_bytes += len(came.data)
             self._greeted(came, known)
             return []
         if came.data[:1] == REVOKED:
@@ -183,7 +184,7 @@ class Neighbours:
         if known.greeted_ns is not None and now_ns - known.greeted_ns < _GREET_AGAIN_NS:
             return
         known.greeted_ns = now_ns
-        self.greeting_bytes += len(self._greeting) + 1
+        self.out.setdefault(other, LinkBytes()).greeting_bytes += len(self._greeting) + 1
         self._link.send(other, GREETING + self._greeting)
 
     def _greeted(self, came: Arrived, known: Acquaintance) -> None:
@@ -235,11 +236,10 @@ class Neighbours:
             self.refused += 1
             return []
         met: list[Received | Met] = [] if known.session is before else [Met(came.sender)]
-        count = self.into.setdefault(came.sender, FrameCount())
-        count.frames += len(came.data)
-        count.count += 1
+        count = self.into.setdefault(came.sender, LinkBytes())
         try:
             frame = unpack_frame(opened)
+            count.count(frame, len(came.data))
             messages = known.session.incoming(frame, time.monotonic_ns())
             if isinstance(frame, RevokedNotice):
                 self._take_list(came.sender, frame.der)
@@ -247,12 +247,10 @@ class Neighbours:
             self.refused += 1
             log.warning("agent %d: %s", came.sender, error)
             return met
-        count.messages += sum(len(m) for m in messages)
+        count.message_bytes += sum(len(m) for m in messages)
         return [*met, *(Received(came.sender, m) for m in messages)]
 
-    def _send_sealed(self, other: int, session: Session, frame: bytes) -> None:
-        data = SEALED + session.seals.seal(frame)
-        count = self.out.setdefault(other, FrameCount())
-        count.frames += len(data)
-        count.count += 1
+    def _send_sealed(self, other: int, session: Session, frame: Frame) -> None:
+        data = SEALED + session.seals.seal(pack_frame(frame))
+        self.out.setdefault(other, LinkBytes()).count(frame, len(data))
         self._link.send(other, data)

@@ -17,6 +17,7 @@ from ..contracts.effects import Effects
 from ..protocol.messages import decode, encode
 from ..protocol.tensors import MessageError
 from .config import LiveConfig
+from .cpu_parts import CpuParts
 from .drive import Drive, RecordedDrive
 from .durations import arrived, departing
 from .framing import DrivePhase
@@ -27,6 +28,8 @@ from .signed_maps import MapSignatures, split_signed
 # So many messages are handled before time goes on.
 _AT_ONCE = 256
 _LONGEST_WAIT_S, _SHORT_S, _LAST_FRAMES_S = 0.25, 0.02, 1.0
+# Parts of CPU time, beside the purposes of messages: new key-frames, the policy's steps, frames and signatures.
+KEYFRAMES, STEPS, LINK = "keyframes", "steps", "link"
 log = logging.getLogger(__name__)
 
 
@@ -43,7 +46,8 @@ class LiveProgress:
 
 class AgentProcess:
     """``agent`` with its ``neighbours``. ``began_ns``: logical time at which this process begins: 0, or that of the
-    end of the journal that it goes on with. ``drive``: where key-frames come from; None: the agent's sequence."""
+    end of the journal that it goes on with. ``drive``: where key-frames come from; None: the agent's sequence.
+    ``cpu``: takes the CPU time of messages by their purpose, of steps, key-frames and the link."""
 
     def __init__(
         self,
@@ -53,8 +57,10 @@ class AgentProcess:
         live: LiveConfig,
         began_ns: int = 0,
         drive: Drive | None = None,
+        cpu: CpuParts | None = None,
     ) -> None:
         self.agent = agent
+        self.cpu = cpu or CpuParts()
         self.neighbours = neighbours
         self.config = config
         self.live = live
@@ -101,15 +107,16 @@ class AgentProcess:
 
     def _exchange(self) -> None:
         """Send what is due, and act on what comes until it is time for the next step."""
-        self.neighbours.flush()
-        wait_s = self._wait_s()
-        for _ in range(_AT_ONCE):
-            came = self.neighbours.receive(wait_s)
-            if came is None:
-                return
-            for one in came:
-                self._take(one)
-            wait_s = 0.0
+        with self.cpu.part(LINK):
+            self.neighbours.flush()
+            wait_s = self._wait_s()
+            for _ in range(_AT_ONCE):
+                came = self.neighbours.receive(wait_s)
+                if came is None:
+                    return
+                for one in came:
+                    self._take(one)
+                wait_s = 0.0
 
     # -- what goes in -------------------------------------------------------------------------------------------------
 
@@ -117,10 +124,13 @@ class AgentProcess:
         now_ns, agent = self.now_ns, self.agent
         if now_ns >= self._next_tick * self._step_ns:
             self._next_tick = now_ns // self._step_ns + 1
-            self.drive.observe(now_ns)
+            with self.cpu.part(KEYFRAMES):
+                self.drive.observe(now_ns)
             self._note_phase(now_ns)
             self._reminded_ns = now_ns
-            self._send(agent.tick(now_ns), now_ns)
+            with self.cpu.part(STEPS):
+                effects = agent.tick(now_ns)
+            self._send(effects, now_ns)
             seen, known = agent.inputs.seen, self.drive.keyframes
             progress(LiveProgress(now_ns, seen, known, self.neighbours.phase, len(self._present())))
         elif agent.agent.waiting and now_ns - self._reminded_ns >= round(self.config.link.repeat_s * 1e9):
@@ -128,7 +138,9 @@ class AgentProcess:
 
     def _remind(self, now_ns: int) -> None:
         self._reminded_ns = now_ns
-        self._send(self.agent.remind(now_ns), now_ns)
+        with self.cpu.part(STEPS):
+            effects = self.agent.remind(now_ns)
+        self._send(effects, now_ns)
 
     def _take(self, came: Received | Met) -> None:
         now_ns = self.now_ns
@@ -155,12 +167,15 @@ class AgentProcess:
         self._still_since = None
         if kept:
             self.agent.keep_signatures(kept, now_ns)
-        self._send(self.agent.handle(message, now_ns), now_ns)
+        with self.cpu.part(message.body.traffic):
+            effects = self.agent.handle(message, now_ns)
+        self._send(effects, now_ns)
 
     def _send(self, effects: Effects, now_ns: int) -> None:
-        for message in effects.messages:
-            data = encode(departing(message, now_ns))
-            self.neighbours.send(message.recipient, self.signatures.seal(message, data))
+        with self.cpu.part(LINK):
+            for message in effects.messages:
+                data = encode(departing(message, now_ns))
+                self.neighbours.send(message.recipient, self.signatures.seal(message, data))
 
     # -- the end ------------------------------------------------------------------------------------------------------
 

@@ -35,6 +35,15 @@ class Link(ABC):
     def send(self, other: int, data: bytes) -> None:
         """Put bytes on the way; never waits."""
 
+    def publish(self, topic: str, data: bytes) -> None:
+        """Give bytes out on a topic of this agent, to whoever listens; never waits. Any thread may call it, one for
+        each topic. A link without topics does nothing."""
+        return None
+
+    def listened_to(self, topic: str) -> bool:
+        """Whether somebody listens to a topic of this agent, as far as is known."""
+        return False
+
     @abstractmethod
     def receive(self, wait_s: float) -> Arrived | Presence | None:
         """What came next; None when nothing has come after ``wait_s``, seconds."""

@@ -45,39 +45,28 @@ class LinkAddresses:
 
 class ZenohLink(Link):
     """``with ZenohLink(me, team, addresses) as link``: the keys ``TEAM/m/TO/FROM`` are bytes,
-    ``TEAM/here/NUMBER/PROCESS`` says that a process of an agent is there."""
+    ``TEAM/here/NUMBER/PROCESS`` says that a process of an agent is there, ``TEAM/TOPIC/NUMBER`` are an agent's topics;
+    all below ``maslam/``."""
 
     def __init__(self, me: int, team: str, addresses: LinkAddresses) -> None:
         self.me = me
-        self._root = "maslam/" + re.sub(r"[^A-Za-z0-9_.-]", "_", team)
+        self._root = root_of(team)
         self._addresses = addresses
         self._arrivals: queue.SimpleQueue[Arrived | Presence] = queue.SimpleQueue()
         self._session: Any = None
-        self._error: type[Exception] = LinkError
         self._kept: list[Any] = []
+        self._publishers: dict[str, Any] = {}
 
     def __enter__(self) -> ZenohLink:
-        try:
-            import zenoh
-        except ImportError as error:
-            raise LinkError("agents on a network need the extra 'network': pip install 'maslam[network]'") from error
-        try:
-            self._error = zenoh.ZError
-            self._session = zenoh.open(_settings(zenoh, self._addresses))
-        except zenoh.ZError as error:
-            raise LinkError(_in_words(str(error), self._addresses)) from error
+        self._session = open_session(self._addresses)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for one in reversed(self._kept):
+        for one in reversed([*self._kept, *self._publishers.values()]):
             one.undeclare()
-        with _quiet():
-            try:
-                self._session.close()
-            except self._error as error:  # nothing is left to send
-                log.info("the link did not close in time: %s", error)
+        close_session(self._session)
 
     def appear(self, process: str) -> None:
         here, session = f"{self._root}/here", self._session
@@ -91,6 +80,17 @@ class ZenohLink(Link):
     def send(self, other: int, data: bytes) -> None:
         self._session.put(f"{self._root}/m/{other}/{self.me}", data)
 
+    def publish(self, topic: str, data: bytes) -> None:
+        self._publisher(topic).put(data)
+
+    def listened_to(self, topic: str) -> bool:
+        return bool(self._publisher(topic).matching_status)
+
+    def _publisher(self, topic: str) -> Any:
+        if topic not in self._publishers:
+            self._publishers[topic] = self._session.declare_publisher(f"{self._root}/{topic}/{self.me}")
+        return self._publishers[topic]
+
     def receive(self, wait_s: float) -> Arrived | Presence | None:
         try:
             return self._arrivals.get(timeout=wait_s) if wait_s > 0 else self._arrivals.get_nowait()
@@ -102,13 +102,13 @@ class ZenohLink(Link):
         return bool(self._session.info.routers_zid() or self._session.info.peers_zid())
 
     def _came(self, sample: Any) -> None:
-        sender = _number(str(sample.key_expr))
+        sender = number_of(str(sample.key_expr))
         if sender is not None:
             self._arrivals.put(Arrived(sender, sample.payload.to_bytes()))
 
     def _changed(self, sample: Any) -> None:
         key, _, process = str(sample.key_expr).rpartition("/")
-        other = _number(key)
+        other = number_of(key)
         if other is not None:
             self._arrivals.put(Presence(other, "PUT" in str(sample.kind), process))
 
@@ -128,7 +128,36 @@ def _quiet() -> Iterator[None]:
         os.close(nowhere)
 
 
-def _number(key: str) -> int | None:
+def root_of(team: str) -> str:
+    """What all keys of a team begin with."""
+    return "maslam/" + re.sub(r"[^A-Za-z0-9_.-]", "_", team)
+
+
+def open_session(addresses: LinkAddresses) -> Any:
+    """A session as a router; :class:`LinkError` where an address cannot be used."""
+    try:
+        import zenoh
+    except ImportError as error:
+        raise LinkError("agents on a network need the extra 'network': pip install 'maslam[network]'") from error
+    try:
+        return zenoh.open(_settings(zenoh, addresses))
+    except zenoh.ZError as error:
+        raise LinkError(_in_words(str(error), addresses)) from error
+
+
+def close_session(session: Any) -> None:
+    """Close a session, without a word."""
+    import zenoh
+
+    with _quiet():
+        try:
+            session.close()
+        except zenoh.ZError as error:  # nothing is left to send
+            log.info("the link did not close in time: %s", error)
+
+
+def number_of(key: str) -> int | None:
+    """The agent's number at the end of a key, None where there is none."""
     last = key.rpartition("/")[2]
     return int(last) if _NUMBER.fullmatch(last) else None
 

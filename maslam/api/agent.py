@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Literal
 
 from maslam._replaced import replaced
 from maslam.descriptors.choice import DescriptorLike, load_descriptor
@@ -18,6 +19,7 @@ from maslam.mas.kernels import agent_kernels
 from maslam.mas.live.config import LINKS, LiveConfig
 from maslam.mas.live.credentials import Credentials
 from maslam.mas.live.team_pose import TeamMap, TeamPose
+from maslam.mas.live.topics import topics_named
 from maslam.mas.policies.presets import preset as preset_named
 from maslam.mas.transport.link import Link
 from maslam.mas.transport.zenoh_link import LinkAddresses, ZenohLink
@@ -55,6 +57,7 @@ class Agent:
         descriptor: place descriptor, the same for all agents.
         settle: newer key-frames that one waits for before the agent acts on it; None: until its pose is final.
         on_pose: called with each new pose, in the thread that tracks.
+        publish: what is given out on the network while somebody listens (:class:`~maslam.Watch`).
         live: kind of network and times of waiting.
         link: carries bytes in the place of Zenoh; ``listen`` and ``connect`` are not used then.
 
@@ -76,10 +79,12 @@ class Agent:
         descriptor: DescriptorLike | str | Path = "default",
         settle: int | None = None,
         on_pose: Callable[[TeamPose], None] | None = None,
+        publish: Sequence[Literal["pose", "map"]] = (),
         live: LiveConfig | None = None,
         link: Link | None = None,
     ) -> None:
         content, live = nested(settings), live or LiveConfig()
+        live = replaced(live, publish=live.publish | topics_named(publish))
         odometry = changed(OdometryConfig(), content.pop("odometry", {}))
         base = preset_named(preset)
         self._setup = LiveSetup(

@@ -55,6 +55,8 @@ class MemoryLink(Link):
         self.me = me
         self.process = ""
         self.queue: deque[Arrived | Presence] = deque()
+        self.listened: set[str] = set()
+        self.published: list[tuple[str, bytes]] = []
 
     def appear(self, process: str) -> None:
         self.process = process
@@ -65,6 +67,12 @@ class MemoryLink(Link):
 
     def receive(self, wait_s: float) -> Arrived | Presence | None:
         return self.queue.popleft() if self.queue else None
+
+    def publish(self, topic: str, data: bytes) -> None:
+        self.published.append((topic, data))
+
+    def listened_to(self, topic: str) -> bool:
+        return topic in self.listened
 
     @property
     def connected(self) -> bool:

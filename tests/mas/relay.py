@@ -29,7 +29,7 @@ class LinkFaults:
 @dataclass
 class Relay:
     """``with Relay("udp", target_port, faults) as relay``: whoever connects to ``relay.port`` talks to the target.
-    ``passed``, ``lost``: datagrams, or pieces of streams."""
+    ``passed``, ``lost``: datagrams, or pieces of streams; ``passed_bytes``: in them, both ways."""
 
     protocol: str
     target_port: int
@@ -37,6 +37,7 @@ class Relay:
     seed: int = 0
     passed: int = 0
     lost: int = 0
+    passed_bytes: int = 0
     port: int = field(init=False)
 
     def __enter__(self) -> Relay:
@@ -134,6 +135,7 @@ class Relay:
 
     def _later(self, to: socket.socket, data: bytes, address: tuple[str, int] | None) -> None:
         self.passed += 1
+        self.passed_bytes += len(data)
         heapq.heappush(self._waiting, (time.monotonic() + self.faults.delay_s, next(self._order), to, data, address))
 
     def _deliver(self) -> float:

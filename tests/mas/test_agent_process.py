@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -115,9 +116,17 @@ def test_agents_meet_join_and_end_by_themselves(tmp_path: Path, clock: Clock) ->
     for me in range(3):
         team.start(me)
         clock.now += 0.7  # no two clocks show the same
+    neighbours = {me: process.neighbours for me, process in team.processes.items()}
     team.go_on(120)
     assert sorted(team.ended) == [0, 1, 2]
     assert max(team.ended.values()) < 115.0
+    for a, b in permutations(range(3), 2):
+        carried = sum(len(data) for *ends, data in team.network.sent if ends == [a, b])
+        sent, received = neighbours[a].out[b], neighbours[b].into[a]
+        assert sent.data_bytes + sent.control_bytes + sent.greeting_bytes == carried
+        assert 0 < sent.message_bytes < sent.data_bytes and 0 < sent.control_bytes < 500
+        # The last word of who goes last finds nobody.
+        assert (sent.message_bytes, sent.data_bytes) == (received.message_bytes, received.data_bytes)
     summary = team.run_folder()
     assert summary.groups == [[0, 1, 2]] and summary.matches.false_accepted == 0
     assert summary.ate_rmse_m.mean_agents < 0.2

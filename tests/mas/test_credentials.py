@@ -118,7 +118,8 @@ def test_another_authoritys_agent_is_not_talked_to(team: list[Credentials], stra
     assert "another authority" in agents[0].refusals()[1] and agents[0].phases() == {}
     agents[0].send(1, b"secret")
     exchange(agents)
-    assert agents[0].out == {}
+    sent = agents[0].out[1]
+    assert sent.greeting_bytes > 0 == sent.message_bytes == sent.frame_bytes
 
 
 def test_a_name_of_another_is_refused(team: list[Credentials]) -> None:

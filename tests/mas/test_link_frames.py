@@ -25,6 +25,7 @@ from maslam.mas.live.framing import (
     pack_frame,
     unpack_frame,
 )
+from maslam.mas.live.link_bytes import LinkBytes, total_bytes
 from maslam.mas.live.pieces import IN_FLIGHT, PieceReceiver, PieceSender
 from maslam.mas.protocol.ids import ContractId, OperationKind
 from maslam.mas.protocol.messages import Bid, Call, Message
@@ -141,3 +142,12 @@ def test_a_claimed_duration_is_bounded() -> None:
 
 def test_errors_are_the_agents_own() -> None:
     assert issubclass(FrameError, MasError)
+
+
+def test_bytes_are_counted_for_what_they_are_for() -> None:
+    links = {3: LinkBytes(message_bytes=5), 4: LinkBytes(greeting_bytes=7)}
+    for frame in FRAMES:
+        links[3].count(frame, 100)
+    links[4].count(FRAMES[0], 30)
+    assert links[3] == LinkBytes(5, 300, 300, 0, 6) and links[3].frame_bytes == 600
+    assert total_bytes(links) == LinkBytes(5, 330, 300, 7, 7)

@@ -141,6 +141,13 @@ def test_agents_join_while_they_drive_and_know_where_they_are(team: LiveTeam) ->
         figures = agent.figures
         assert (figures.received, figures.tracked, figures.dropped, figures.lost) == (20, 20, 0, 0)
         assert figures.keyframes == len(agent.inputs.agent.state.keyframes) >= 6
+    # Each accepted match was one agent's query, and all are in its poses by now.
+    times = [agent.figures.revisits for agent in (first, second)]
+    asked = [sum(m.query_agent == k for m in a.inputs.agent.state.accepted) for k, a in enumerate((first, second))]
+    assert [one.revisits for one in times] == asked and sum(asked) > 0
+    for one in times:
+        assert one.uncorrected == 0 and one.passed_on_mean_s <= one.accepted_mean_s <= one.corrected_mean_s
+        assert one.corrected_mean_s <= one.corrected_most_s
 
 
 def test_poses_come_by_callback_as_the_agent_has_them(team: LiveTeam) -> None:
@@ -228,14 +235,17 @@ def test_the_face_has_an_agent_that_takes_frames(town_stereo: Path, tmp_path: Pa
     sequence = open_dataset(town_stereo).sequences[0]
     settings = {"odometry": {"mapping.window": 6, "mapping.fixed": 2}}
     poses: list[maslam.TeamPose] = []
+    link = MemoryNetwork().link(0)
+    link.listened = {"pose", "map"}
     agent = maslam.Agent(
         sequence.rig,
         tmp_path / "out",
         keys,
         settings=settings,
         on_pose=poses.append,
+        publish=["pose"],
         live=LiveConfig(settle_s=0.0, alone_s=0.0),
-        link=MemoryNetwork().link(0),
+        link=link,
     )
     with pytest.raises(RuntimeError, match="in a `with` block"):
         agent.pose()
@@ -253,3 +263,4 @@ def test_the_face_has_an_agent_that_takes_frames(town_stereo: Path, tmp_path: Pa
         one = agent.map()
         assert len(one.points) > 1000 and set(one.owners.tolist()) == {0}
     assert len(poses) >= 8 and (tmp_path / "out" / "trajectory.tum").is_file()
+    assert [topic for topic, _ in link.published] == ["pose"] * len(poses)

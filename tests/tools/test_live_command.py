@@ -7,10 +7,16 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+import maslam
 from maslam.frontend.files.trajectory import read_tum
 from maslam.mas.live.recorded_agent import met_in
 from maslam.tools import cli
@@ -18,29 +24,63 @@ from maslam.tools import cli
 pytest.importorskip("zenoh", reason="the extra 'network' is not installed")
 
 
+@contextmanager
+def listening(keys: Path, address: str) -> Iterator[list[maslam.AgentPose | maslam.AgentMap]]:
+    """What a listener gets meanwhile."""
+    heard: list[maslam.AgentPose | maslam.AgentMap] = []
+    over = threading.Event()
+
+    def listen() -> None:
+        with maslam.Watch(keys, connect=[address]) as watch:
+            while not over.is_set():
+                one = watch.next(0.1)
+                if one is not None:
+                    heard.append(one)
+            assert (watch.refused, watch.reason) == (0, "")
+
+    with ThreadPoolExecutor(1) as thread:
+        listener = thread.submit(listen)
+        try:
+            yield heard
+        finally:
+            over.set()
+        listener.result()
+
+
 def test_agents_track_and_meet_while_they_drive(
     town_stereo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["keys", str(tmp_path / "keys"), "--agents", "2"]) == 0
+    """And a third process listens to where they are, and to their maps."""
+    assert cli.main(["keys", str(tmp_path / "keys"), "--agents", "3"]) == 0
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tls/127.0.0.1:{free.getsockname()[1]}"
 
+    publish, window = ["--publish", "pose", "--publish", "map"], ["--odometry.mapping.window", "6"]
+
     def words(me: int, end: str) -> list[str]:
         source, keys = town_stereo / f"agent_{me:02d}", tmp_path / "keys" / f"agent_{me:02d}"
         given = [str(source), str(tmp_path / str(me)), "--credentials", str(keys), end, address]
-        return ["agent", *given, "--live", "played", "--speed", "0.25", "--odometry.mapping.window", "6"]
+        return ["agent", *given, "--live", "played", "--speed", "0.25", *publish, *window]
 
     other = subprocess.Popen([sys.executable, "-m", "maslam", *words(1, "--connect")], stderr=subprocess.DEVNULL)
     try:
-        assert cli.main(words(0, "--listen")) == 0
-        assert other.wait(120) == 0
+        with listening(tmp_path / "keys" / "agent_02", address) as heard:
+            assert cli.main(words(0, "--listen")) == 0
+            assert other.wait(120) == 0
     finally:
         other.kill()
         other.wait()
     said = capsys.readouterr().err
     for me in range(2):
+        poses = [one.pose for one in heard if isinstance(one, maslam.AgentPose) and one.agent == me]
+        maps = [one.map for one in heard if isinstance(one, maslam.AgentMap) and one.agent == me]
+        assert len(poses) >= 5 and len(maps) >= 1 and len(maps[0].points) > 500 and poses[-1].metric
+        assert all(a.stamp_ns < b.stamp_ns for a, b in pairwise(poses))
+        process = json.loads((tmp_path / str(me) / "process.json").read_text())
+        assert process["topic_bytes"] > 0 and str(1 - me) in process["sent"] and process["peak_mb"] > 100
         figures = json.loads((tmp_path / str(me) / "live.json").read_text())
+        assert {"odometry", "descriptor", "link", "steps", "other", "reading"} <= set(figures["cpu_s"])
         assert figures["received"] == 20 == figures["tracked"] + figures["lost"] + figures["dropped"]
         assert met_in(tmp_path / str(me) / "journal.bin") == {1 - me}
         assert len(read_tum(tmp_path / str(me) / "trajectory.tum")) >= figures["keyframes"]

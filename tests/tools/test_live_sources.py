@@ -74,7 +74,7 @@ def test_what_waits_at_the_end_is_taken_and_nothing_after_it() -> None:
 def test_dropped_frames_are_said_with_their_number(caplog: pytest.LogCaptureFixture) -> None:
     """Once in a while, not at each frame."""
     frames = LatestFrames(1)
-    tracker = LiveTracker(None, frames, lambda _: None, lambda _: None)  # type: ignore[arg-type]
+    tracker = LiveTracker(None, frames, lambda *_: None, lambda _: None)  # type: ignore[arg-type]
     for k in range(4):
         frames.put(frame(k))
     tracker._say_dropped(100.0)
@@ -99,6 +99,22 @@ def test_a_recording_is_played_at_its_rate(town_stereo: Path, monkeypatch: pytes
     np.testing.assert_array_equal(got[3].image, sequence.read(3).image)
     assert isinstance(got[3].right, PutOff)
     np.testing.assert_array_equal(got[3].right.get(), sequence.read(3).right)
+
+
+def test_a_recording_that_was_begun_goes_on(town_stereo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the frame that an earlier process came to, at once; where that was the last one there are none."""
+    sequence = open_dataset(town_stereo).sequences[0]
+    monkeypatch.setattr(sources_module.time, "monotonic", lambda: 50.0)
+    got: list[CameraFrame] = []
+    source, stop = PlayedRecording(sequence, 2.0), Steps([lambda: None] * 3)
+    source.after_ns = int(sequence.stamps_ns[7])
+    source.run(got.append, stop)
+    assert stop.waited[:3] == pytest.approx([0.0, 0.05, 0.10])
+    assert [f.time_ns for f in got] == sequence.stamps_ns[8:11].tolist()
+    for after_ns in (int(sequence.stamps_ns[-1]), 2**63 - 1):
+        source.after_ns = after_ns
+        source.run(got.append, Steps([lambda: None] * 3))
+    assert len(got) == 3
 
 
 # -- a folder that grows -----------------------------------------------------------------------------------------------

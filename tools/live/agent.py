@@ -4,33 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from maslam._atomic import write_atomically
 from maslam.errors import MaslamError
 from maslam.frontend.config import OdometryConfig
 from maslam.mas.config import MasConfig
 from maslam.mas.live.config import LiveConfig
+from maslam.mas.live.cpu_parts import CpuParts
 from maslam.mas.live.credentials import Credentials, name_of_agent
 from maslam.mas.live.drive import LiveDrive
 from maslam.mas.live.journal import Journal
 from maslam.mas.live.live_sequence import observed_in, sequence_of
 from maslam.mas.live.neighbours import Neighbours
+from maslam.mas.live.observed import Observed
 from maslam.mas.live.one_agent import check_live, digest_of, inputs_of
 from maslam.mas.live.process import AgentProcess, LiveProgress
 from maslam.mas.live.recorded_agent import AgentInputs, RecordedAgent
 from maslam.mas.live.restart import resume
+from maslam.mas.live.revisits import Revisits
 from maslam.mas.live.team_pose import LatestFrame, PlacedKeyFrames, TeamMap, TeamPose
+from maslam.mas.live.topic_writer import TopicWriter
 from maslam.mas.sequence import AgentEntry, AgentSequence, CameraEntry, Manifest
 
 from ..common.errors import ToolError
 from ..pipeline.descriptor_entry import descriptor_entry
 from .frames import CameraFrame, LatestFrames
 from .front_end import Beginning, LiveFrontEnd
-from .own_results import write_own_results
+from .own_results import write_own_results, write_process_figures
 from .tracker import LiveFigures, LiveTracker
 
 if TYPE_CHECKING:
@@ -41,6 +47,8 @@ if TYPE_CHECKING:
 
 JOURNAL = "journal.bin"
 FIGURES = "live.json"
+PLACING = "placing"
+"""Part of CPU time: poses and maps for whoever asks."""
 _MAP_S = 30.0
 
 
@@ -118,15 +126,18 @@ class LiveAgent:
         language = self.inputs.agent.state.profile.language
         self.neighbours = Neighbours(credentials, language, link, self.inputs.max_message_bytes)
         self.drive = LiveDrive(self._recorded)
+        self.cpu = CpuParts()
         self.process = AgentProcess(
-            self._recorded, self.neighbours, setup.config, setup.live, self.earlier.now_ns, self.drive
+            self._recorded, self.neighbours, setup.config, setup.live, self.earlier.now_ns, self.drive, self.cpu
         )
+        self._revisits = Revisits(self.inputs.agent)
         self.frames = LatestFrames(setup.waiting)
         front_end = LiveFrontEnd(
-            setup.rig, setup.odometry, setup.vocabulary, setup.model, setup.source, setup.after, beginning
+            setup.rig, setup.odometry, setup.vocabulary, setup.model, setup.source, setup.after, beginning, self.cpu
         )
-        self.tracker = LiveTracker(front_end, self.frames, self.drive.put, self._placed_latest)
+        self.tracker = LiveTracker(front_end, self.frames, self._passed_on, self._placed_latest)
         self.on_pose = on_pose
+        self.topics = TopicWriter(setup.live.publish, credentials, link, setup.live.map_each_s)
         self._latest: LatestFrame | None = None
         self._placed = PlacedKeyFrames(self.inputs.agent.state)
         self._asked: SimpleQueue[Future[TeamMap]] = SimpleQueue()
@@ -168,9 +179,17 @@ class LiveAgent:
         return future.result(_MAP_S)
 
     @property
+    def played_until_ns(self) -> int | None:
+        """Time stamp up to which an earlier process has used its recording: that of the latest key-frame, of a drive
+        that was over the last there can be; None where nothing was."""
+        if self.inputs.agent.context.closing:
+            return int(np.iinfo(np.int64).max)
+        return self.tracker.front_end.beginning.latest_ns
+
+    @property
     def figures(self) -> LiveFigures:
-        """Frames received, tracked and dropped, and how long they took."""
-        return self.tracker.figures
+        """Frames received, tracked and dropped, how long they took, revisits, and CPU time by part."""
+        return replace(self.tracker.figures, revisits=self._revisits.times(), cpu_s=self.cpu.seconds())
 
     # -- the loop -----------------------------------------------------------------------------------------------------
 
@@ -190,7 +209,14 @@ class LiveAgent:
 
     def between(self) -> None:
         """Between two steps: poses as they are placed by now, and answers to other threads."""
-        self._placed = PlacedKeyFrames(self.inputs.agent.state)
+        with self.cpu.part(PLACING):
+            self._placed = PlacedKeyFrames(self.inputs.agent.state)
+            self._revisits.look()
+            self._answer()
+            self._publish_map()
+
+    def _answer(self) -> None:
+        """Give other threads the map."""
         while True:
             try:
                 future = self._asked.get_nowait()
@@ -201,9 +227,18 @@ class LiveAgent:
             except MaslamError as error:  # for the thread that asked
                 future.set_exception(error)
 
+    def _publish_map(self) -> None:
+        """Give out the map where somebody listens, part by part."""
+        state = self.inputs.agent.state
+        changes = state.version + sum(copy.version for copy in self.inputs.agent.maps.copies.values())
+        if state.keyframes and self.topics.wants_map(changes):
+            self.topics.map(self._map(), changes)
+        self.topics.next_part()
+
     def write_results(self) -> None:
         """``trajectory.tum`` and the other files of one agent, and ``live.json``: what became of the frames."""
         write_own_results(self.out, self.inputs.agent, self.setup.sequence(self.me, self.out / JOURNAL))
+        write_process_figures(self.out, self.process, self.topics.sent_bytes)
         write_atomically(self.out / FIGURES, self.figures.as_json())
 
     def _tracked(self) -> None:
@@ -211,12 +246,17 @@ class LiveAgent:
         self.frames.end()
         self.drive.end()
 
+    def _passed_on(self, observed: Observed, came_s: float) -> None:
+        self._revisits.came(observed.keyframe.index, came_s)
+        self.drive.put(observed)
+
     def _placed_latest(self, latest: LatestFrame | None) -> None:
         self._latest = latest
-        if latest is None or self.on_pose is None:
+        pose = None if latest is None else self._placed.place(latest)
+        if pose is None:
             return
-        pose = self._placed.place(latest)
-        if pose is not None:
+        self.topics.pose(pose)
+        if self.on_pose is not None:
             self.on_pose(pose)
 
     def _map(self) -> TeamMap:

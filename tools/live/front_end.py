@@ -20,6 +20,7 @@ from maslam.backend.geometry import se3_inverse, transform_points
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.odometry import Odometry
 from maslam.frontend.tracking.settled import SettledKeyFrame, SettledKeyFrames
+from maslam.mas.live.cpu_parts import CpuParts
 from maslam.mas.live.observed import Observed
 from maslam.mas.state.keyframe import KeyFrame, median_depth, recording_of
 
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from maslam.frontend.odometry import FrameResult, OdometryResult
     from maslam.frontend.vocabulary.lookup import WordLookup
 
+# Parts of CPU time. Odometry includes decoding of second images; settling is what makes key-frames final.
+ODOMETRY, DESCRIPTOR, SETTLING = "odometry", "descriptor", "settling"
 log = logging.getLogger(__name__)
 Colour = Callable[[], NDArray[np.uint8]]
 
@@ -73,7 +76,8 @@ class LiveFrontEnd:
     """Frames go to :meth:`process` in order of time, then :meth:`finish` is called.
 
     ``source``: name of the recording: agents that read the same one know its images by it. ``after``: see
-    :class:`~maslam.frontend.tracking.settled.SettledKeyFrames`; ``beginning``: what it goes on from.
+    :class:`~maslam.frontend.tracking.settled.SettledKeyFrames`; ``beginning``: what it goes on from; ``cpu``: takes the
+    CPU time of its parts.
     """
 
     def __init__(
@@ -85,9 +89,11 @@ class LiveFrontEnd:
         source: str,
         after: int | None = None,
         beginning: Beginning | None = None,
+        cpu: CpuParts | None = None,
     ) -> None:
         self.odometry = Odometry(rig, config, vocabulary)
         self.beginning = beginning or Beginning()
+        self._cpu = cpu or CpuParts()
         self.start_ns = self.beginning.start_ns
         self._settled = SettledKeyFrames(config, vocabulary, after)
         self._model = model
@@ -106,14 +112,16 @@ class LiveFrontEnd:
         """Track a frame. ``colour``: gives its image ``(H, W, 3)`` BGR, for a descriptor that uses colours."""
         if self.start_ns is None:
             self.start_ns = frame.stamp_ns
-        result = self.odometry.process(frame)
+        with self._cpu.part(ODOMETRY):
+            result = self.odometry.process(frame)
         observed: tuple[Observed, ...] = ()
         if result.first is not None:
             self._describe(result.first, None)
         if result.stays:
             self._describe(frame, colour)
         if result.is_keyframe:
-            observed = tuple(self._observed(one) for one in self._settled.take(self.odometry.segments))
+            with self._cpu.part(SETTLING):
+                observed = tuple(self._observed(one) for one in self._settled.take(self.odometry.segments))
         since = None if result.T_W_C is None else self._settled.since(self.odometry.segments[-1], result.T_W_C)
         if since is None:
             return TrackedLive(result, observed)
@@ -126,7 +134,8 @@ class LiveFrontEnd:
 
     def _describe(self, frame: Frame, colour: Colour | None) -> None:
         image = colour() if colour is not None and self._model.colour else frame.image
-        vectors, textured = self._model.look([image])
+        with self._cpu.part(DESCRIPTOR):
+            vectors, textured = self._model.look([image])
         self._described[frame.index] = vectors[0], bool(textured[0])
 
     def _observed(self, one: SettledKeyFrame) -> Observed:

@@ -26,6 +26,11 @@ def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig", choices=["mono", "stereo", "rgbd"], help="--live: use only this much of the sensors (default: all)"
     )
     parser.add_argument(
+        "--sequence",
+        metavar="NAME",
+        help="--live played: which sequence, where SEQS holds several (`maslam inspect` names them)",
+    )
+    parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="--live camera: its calibration, of any form that is read"
     )
     parser.add_argument(
@@ -46,5 +51,13 @@ def add_camera_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="S",
         help="--live growing: the drive is over after so many seconds without an image (default: at Ctrl-C)",
+    )
+    parser.add_argument(
+        "--publish",
+        action="append",
+        choices=["map", "pose"],
+        default=[],
+        help="--live: give the current pose, or the team's map, out on the network as long as somebody listens; may be "
+        "given twice (default: nothing)",
     )
     add_model_options(parser, OdometryConfig(), SECTION)

@@ -2,12 +2,39 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from maslam._atomic import write_atomically
+
+from ..common.memory import peak_mb
+
 if TYPE_CHECKING:
     from maslam.mas.agent import Agent
+    from maslam.mas.live.process import AgentProcess
     from maslam.mas.sequence import AgentSequence
+
+
+PROCESS = "process.json"
+
+
+def write_process_figures(out: Path, process: AgentProcess, topic_bytes: int = 0) -> None:
+    """``process.json``: bytes to and from each other agent by what they are for (``sent``, ``received``), of signatures
+    in the messages sent, and on topics; frames and greetings that were refused; CPU time by part (``start``: until the
+    agent was there), and the peak of memory, MB."""
+    from maslam.mas.live.link_bytes import link_figures
+
+    neighbours, cpu = process.neighbours, process.cpu
+    figures = {
+        **link_figures(neighbours.out, neighbours.into),
+        "signature_bytes": process.signatures.sent_bytes,
+        "topic_bytes": topic_bytes,
+        "refused": neighbours.refused,
+        "cpu_s": {"start": round(cpu.began_s, 6), **{name: round(s, 6) for name, s in cpu.seconds().items()}},
+        "peak_mb": round(peak_mb(), 1),
+    }
+    write_atomically(out / PROCESS, json.dumps(figures, indent=1) + "\n")
 
 
 def write_own_results(out: Path, agent: Agent, sequence: AgentSequence) -> None:

@@ -37,10 +37,12 @@ _DAMAGED_S = 2.0
 
 
 class FrameSource(ABC):
-    """A camera: ``rig`` is rectified, as its frames are; ``name`` stands for the recording."""
+    """A camera: ``rig`` is rectified, as its frames are; ``name`` stands for the recording. ``after_ns``: only frames
+    with later time stamps are given, of a recording that an earlier process has begun to play."""
 
     rig: Rig
     name: str
+    after_ns: int | None = None
 
     @abstractmethod
     def run(self, put: Put, stop: Event) -> None:
@@ -56,8 +58,12 @@ class PlayedRecording(FrameSource):
 
     def run(self, put: Put, stop: Event) -> None:
         """See :meth:`FrameSource.run`. A frame that cannot be read is left out, which is said."""
-        began, first_ns = time.monotonic(), int(self._sequence.stamps_ns[0])
-        for index in range(len(self._sequence)):
+        stamps_ns = self._sequence.stamps_ns
+        first = 0 if self.after_ns is None else int(np.searchsorted(stamps_ns, self.after_ns, side="right"))
+        if first == len(stamps_ns):
+            return
+        began, first_ns = time.monotonic(), int(stamps_ns[first])
+        for index in range(first, len(stamps_ns)):
             at = began + (int(self._sequence.stamps_ns[index]) - first_ns) / 1e9 / self._speed
             if stop.wait(max(at - time.monotonic(), 0.0)):
                 return

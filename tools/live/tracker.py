@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import logging
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from threading import Lock
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +17,7 @@ import numpy as np
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.frames import Frame
 from maslam.mas.live.observed import Observed
+from maslam.mas.live.revisits import RevisitTimes
 from maslam.mas.live.team_pose import LatestFrame
 from maslam.mas.state.keyframe import KeyFrame
 
@@ -23,13 +26,16 @@ from .front_end import LiveFrontEnd, TrackedLive
 
 log = logging.getLogger(__name__)
 _SAY_EACH_S = 5.0
+_REMEMBERED = 10_000
+"""Frames whose coming is known: those since the latest key-frame that was passed on."""
 
 
 @dataclass
 class LiveFigures:
     """Frames ``received``; ``tracked``: with a pose; ``lost``: without; ``dropped``: the next came before odometry was
     ready; ``unreadable``: that could not be used. ``lag_s``: from a frame's coming to its pose, mean and most;
-    ``busy_s``: spent on frames."""
+    ``busy_s``: spent on frames. ``revisits``: from a key-frame's coming to its matches and the poses that hold them;
+    ``cpu_s``: CPU time of the process by part."""
 
     received: int = 0
     tracked: int = 0
@@ -40,35 +46,52 @@ class LiveFigures:
     lag_mean_s: float = 0.0
     lag_most_s: float = 0.0
     busy_s: float = 0.0
+    revisits: RevisitTimes = field(default_factory=RevisitTimes)
+    cpu_s: dict[str, float] = field(default_factory=dict)
 
     def as_json(self) -> str:
         """One object, times to the microsecond."""
-        rounded = {name: round(value, 6) if isinstance(value, float) else value for name, value in asdict(self).items()}
-        return json.dumps(rounded, indent=1) + "\n"
+        return json.dumps(_rounded(asdict(self)), indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> LiveFigures:
+        """What :meth:`as_json` wrote."""
+        content = json.loads(text)
+        return cls(**{**content, "revisits": RevisitTimes(**content["revisits"])})
+
+
+def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+    rounded: dict[str, Any] = {}
+    for name, value in values.items():
+        rounded[name] = _rounded(value) if isinstance(value, dict) else value
+        if isinstance(value, float):
+            rounded[name] = round(value, 6)
+    return rounded
 
 
 class LiveTracker:
-    """Takes ``frames``, and gives key-frames to ``pass_on`` and each latest frame with a pose to ``placed``, None where
-    it has none."""
+    """Takes ``frames``, and gives key-frames, each with the time at which its image came, to ``pass_on`` and each
+    latest frame with a pose to ``placed``, None where it has none."""
 
     def __init__(
         self,
         front_end: LiveFrontEnd,
         frames: LatestFrames,
-        pass_on: Callable[[Observed], None],
+        pass_on: Callable[[Observed, float], None],
         placed: Callable[[LatestFrame | None], None],
     ) -> None:
         self.front_end, self.frames = front_end, frames
         self._pass_on, self._placed = pass_on, placed
         self._figures, self._lock = LiveFigures(), Lock()
         self._latest: KeyFrame | None = None
+        self._came: deque[tuple[int, float]] = deque(maxlen=_REMEMBERED)
         self._said_s, self._said_dropped, self._said_received = -_SAY_EACH_S, 0, 0
 
     @property
     def figures(self) -> LiveFigures:
         """A copy, with what waits or was dropped by now."""
         with self._lock:
-            now = LiveFigures(**asdict(self._figures))
+            now = replace(self._figures)
         now.received, now.dropped = self.frames.received, self.frames.dropped
         return now
 
@@ -83,6 +106,7 @@ class LiveTracker:
     def track(self, taken: NumberedFrame) -> None:
         """One frame through the front end."""
         began_s = time.monotonic()
+        self._came.append((taken.frame.time_ns, taken.came_s))
         try:
             tracked = self.front_end.process(_as_frame(taken), taken.frame.colour or _colour_of(taken.frame))
         except FrontendError as error:
@@ -112,7 +136,9 @@ class LiveTracker:
         self._latest = observed.keyframe
         with self._lock:
             self._figures.keyframes += 1
-        self._pass_on(observed)
+        while self._came[0][0] < observed.keyframe.stamp_ns:
+            self._came.popleft()
+        self._pass_on(observed, self._came[0][1])
 
     def _count(self, tracked: TrackedLive, began_s: float, came_s: float) -> None:
         now_s = time.monotonic()

@@ -121,7 +121,7 @@ def main(arguments: argparse.Namespace) -> None:
 
     from ..common.compiling import compile_for
     from ..common.writing import writing
-    from ..live.own_results import write_own_results
+    from ..live.own_results import write_own_results, write_process_figures
     from .live_command import run_live
 
     live = live_config(arguments)
@@ -150,6 +150,7 @@ def main(arguments: argparse.Namespace) -> None:
             process = AgentProcess(agent, neighbours, config, live, earlier.now_ns)
             process.run(_shower(arguments, progress, process, lambda: link.connected))
         write_own_results(arguments.out, inputs.agent, own_sequence(arguments.sequences, me))
+        write_process_figures(arguments.out, process)
 
 
 def _shower(
@@ -175,13 +176,16 @@ def _shown(progress: Progress, neighbours: Neighbours, nobody: NobodyThere) -> C
 
 
 def _shown_as_json(process: AgentProcess, nobody: NobodyThere) -> Callable[[LiveProgress], None]:
+    from maslam.mas.live.link_bytes import total_bytes
+
     neighbours = process.neighbours
 
     def show(now: LiveProgress) -> None:
+        all_sent = total_bytes(neighbours.out)
         sent = {
-            "message_bytes": sum(c.messages for c in neighbours.out.values()),
-            "frame_bytes": sum(c.frames for c in neighbours.out.values()),
-            "greeting_bytes": neighbours.greeting_bytes,
+            "message_bytes": all_sent.message_bytes,
+            "frame_bytes": all_sent.frame_bytes,
+            "greeting_bytes": all_sent.greeting_bytes,
             "signature_bytes": process.signatures.sent_bytes,
         }
         line = {

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from maslam.frontend.config import OdometryConfig
     from maslam.mas.config import MasConfig
     from maslam.mas.live.config import LiveConfig
+    from maslam.mas.live.cpu_parts import CpuParts
     from maslam.mas.live.process import AgentProcess, LiveProgress
     from maslam.mas.state.agent_state import AgentState
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from ..live.sources import FrameSource
     from ..live.tracker import LiveFigures
 
+READING = "reading"
+"""Part of CPU time: images as they come."""
 Shown = Callable[["AgentProcess", Callable[[], bool]], Callable[["LiveProgress"], None]]
 
 
@@ -38,17 +41,20 @@ def run_live(
     shown: Shown,
 ) -> None:
     """Track and negotiate until the source is at its end, or until Ctrl-C; write OUT."""
+    from maslam._replaced import replaced
     from maslam.descriptors.choice import load_descriptor
     from maslam.frontend.kernels import odometry_kernels
     from maslam.frontend.vocabulary.vocabulary import Vocabulary
     from maslam.mas.kernels import agent_kernels
     from maslam.mas.live.credentials import Credentials
+    from maslam.mas.live.topics import topics_named
     from maslam.mas.transport.zenoh_link import LinkAddresses, ZenohLink
 
     from ..common.compiling import compile_for
     from ..common.parallel import one_blas_thread
     from ..live.agent import LiveAgent, LiveSetup
 
+    live = replaced(live, publish=topics_named(arguments.publish))
     credentials = Credentials(arguments.credentials)
     model = load_descriptor(arguments.model)
     source = source_of(arguments, live.speed)
@@ -70,9 +76,10 @@ def run_live(
         ZenohLink(credentials.number, credentials.team, addresses) as link,
         LiveAgent(setup, arguments.out, credentials, link) as agent,
     ):
+        source.after_ns = agent.played_until_ns
         if agent.earlier.begun:
             progress.say(f"goes on from its journal at {agent.earlier.now_ns / 1e9:.1f} s, in a new track")
-        with fed(source, agent.push, agent.end, progress):
+        with fed(source, agent.push, agent.end, progress, agent.cpu):
             agent.run(shown(agent.process, lambda: link.connected))
         agent.write_results()
     progress.say(figures_line(agent.figures))
@@ -81,10 +88,14 @@ def run_live(
 
 @contextmanager
 def fed(
-    source: FrameSource, push: Callable[[CameraFrame], object], end: Callable[[], None], progress: Progress
+    source: FrameSource,
+    push: Callable[[CameraFrame], object],
+    end: Callable[[], None],
+    progress: Progress,
+    cpu: CpuParts,
 ) -> Iterator[None]:
     """Frames of ``source`` go to ``push`` in a thread of their own; ``end`` is called when there are no more, or at the
-    first Ctrl-C. The second one ends the program as usual."""
+    first Ctrl-C. The second one ends the program as usual. ``cpu`` takes the CPU time of reading them."""
     stop = Event()
 
     def interrupted(*_: object) -> None:
@@ -97,7 +108,7 @@ def fed(
     signal.signal(signal.SIGINT, interrupted)
     try:
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as thread:
-            feeding = thread.submit(source.run, push, stop)
+            feeding = thread.submit(_run, source, push, stop, cpu)
             feeding.add_done_callback(lambda _: end())
             try:
                 yield
@@ -106,6 +117,11 @@ def fed(
         feeding.result()
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _run(source: FrameSource, push: Callable[[CameraFrame], object], stop: Event, cpu: CpuParts) -> None:
+    with cpu.part(READING):
+        source.run(push, stop)
 
 
 def source_of(arguments: argparse.Namespace, speed: float) -> FrameSource:
@@ -127,11 +143,12 @@ def source_of(arguments: argparse.Namespace, speed: float) -> FrameSource:
             raise UsageError("--live camera needs --calibration FILE")
         device = str(given)
         return OpenCvCamera(int(device) if device.isdigit() else device, read_calibration(arguments.calibration))
-    sequences = open_dataset(given, rig).sequences
-    if len(sequences) != 1:
-        names = ", ".join(sequence.name for sequence in sequences)
-        raise UsageError(f"{given}: {len(sequences)} sequences ({names}): name the one of this agent")
-    return PlayedRecording(sequences[0], speed)
+    found = open_dataset(given, rig).sequences
+    named = [sequence for sequence in found if arguments.sequence in (None, sequence.name)]
+    if len(named) != 1:
+        names = ", ".join(sequence.name for sequence in found)
+        raise UsageError(f"{given}: {len(found)} sequences ({names}): name the one of this agent, by --sequence")
+    return PlayedRecording(named[0], speed)
 
 
 def figures_line(figures: LiveFigures) -> str:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..common.errors import ToolError
 from ..common.progress import Progress
@@ -28,7 +28,7 @@ _POLL_S = 0.2
 
 @dataclass(frozen=True)
 class AgentCommand:
-    """What an agent's process is started with. ``over``: tls or quic."""
+    """What an agent's process is started with. ``over``: tls or quic; ``more``: of its command line."""
 
     number: int
     sequences: Path
@@ -37,6 +37,7 @@ class AgentCommand:
     settings: Path
     live: LiveConfig
     over: str
+    more: tuple[str, ...] = ()
 
     def arguments(self, ports: Sequence[int]) -> list[str]:
         """Its command line; it listens on its own port, and connects to those of lower numbers."""
@@ -47,6 +48,7 @@ class AgentCommand:
             *(sys.executable, "-m", "maslam", "agent", str(self.sequences), str(self.out)),
             *("--credentials", str(self.credentials), "--config", str(self.settings), "--json"),
             *("--link", self.live.link, "--speed", str(self.live.speed), "--listen", mine, *connect),
+            *self.more,
         ]
 
 
@@ -68,14 +70,28 @@ class _Line:
     is_error: bool
 
 
-def run_together(commands: Sequence[AgentCommand], keyframes: Sequence[int], progress: Progress) -> list[float] | None:
+@dataclass
+class _Seen:
+    """How far each agent is: the number of this name in its lines, at most its total."""
+
+    name: str
+    totals: Sequence[int]
+    done: list[int]
+
+    def note(self, agent: int, step: dict[str, Any]) -> None:
+        self.done[agent] = min(int(step[self.name]), self.totals[agent])
+
+
+def run_together(
+    commands: Sequence[AgentCommand], counted: str, totals: Sequence[int], progress: Progress
+) -> list[float] | None:
     """Run all agents to their end. One that is killed is started again, and goes on from its journal; ``ToolError``
     where one fails. Whatever ends this ends them, too. Returns the CPU time of each, seconds; None where one was
-    killed."""
+    killed. ``counted``: the number in their lines of JSON that says how far they are, in the end ``totals``."""
     ports = _free_ports(len(commands))
     lines: queue.SimpleQueue[_Line] = queue.SimpleQueue()
-    task = progress.start("agents", sum(keyframes))
-    seen = [0] * len(commands)
+    task = progress.start("agents", sum(totals))
+    seen = _Seen(counted, totals, [0] * len(commands))
     children: dict[int, _Child] = {}
     try:
         for command in commands:
@@ -83,11 +99,11 @@ def run_together(commands: Sequence[AgentCommand], keyframes: Sequence[int], pro
         # Until all have ended well: one that was killed or failed is looked after, whenever that was.
         while any(child.process.poll() != 0 for child in children.values()) or not lines.empty():
             _take(lines, children, seen, progress)
-            progress.advance(task, sum(seen))
+            progress.advance(task, sum(seen.done))
             for command in commands:
                 if children[command.number].process.poll():
                     children[command.number] = _again(command, children, ports, lines, seen, progress)
-        progress.advance(task, sum(keyframes))
+        progress.advance(task, sum(totals))
         in_order = [children[command.number] for command in commands]
         return None if any(child.restarts for child in in_order) else [child.cpu_s for child in in_order]
     finally:
@@ -122,7 +138,7 @@ def _started(command: AgentCommand, ports: Sequence[int], lines: queue.SimpleQue
     return _Child(process, readers)
 
 
-def _take(lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: list[int], progress: Progress) -> None:
+def _take(lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: _Seen, progress: Progress) -> None:
     """What the agents print: how far they are, and what is wrong."""
     until = time.monotonic() + _POLL_S
     while (left := until - time.monotonic()) > 0:
@@ -136,7 +152,8 @@ def _take(lines: queue.SimpleQueue[_Line], children: dict[int, _Child], seen: li
                 progress.say(f"agent {line.agent}: {line.text}")
         else:
             step = json.loads(line.text)
-            seen[line.agent], children[line.agent].cpu_s = int(step["seen"]), float(step["cpu_s"])
+            seen.note(line.agent, step)
+            children[line.agent].cpu_s = float(step["cpu_s"])
 
 
 def _again(
@@ -144,7 +161,7 @@ def _again(
     children: dict[int, _Child],
     ports: Sequence[int],
     lines: queue.SimpleQueue[_Line],
-    seen: list[int],
+    seen: _Seen,
     progress: Progress,
 ) -> _Child:
     """A new process for one that was killed; ``ToolError`` where it failed by itself, or was killed too often."""

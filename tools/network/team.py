@@ -17,6 +17,7 @@ from ..pipeline.preprocess import preprocess, summary_line
 from ..pipeline.preprocess_options import SECTIONS, add_preprocess_arguments, settings_from
 from ..pipeline.run import add_run_arguments, config_from
 from .agent import JOURNAL, add_live_arguments, live_config
+from .played_team import LiveTeam, PlayedTeam, RecordedTeam
 from .processes import AgentCommand, run_together
 
 if TYPE_CHECKING:
@@ -41,6 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML with settings, as for `maslam slam`")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")
+    parser.add_argument(
+        "--live",
+        action="store_true",
+        help="each sequence of SRC is played at its rate to an agent that tracks it while it negotiates (default: "
+        "images are preprocessed before)",
+    )
     add_live_arguments(parser)
     add_preprocess_arguments(parser)
     add_run_arguments(parser)
@@ -70,15 +77,21 @@ def main(arguments: argparse.Namespace) -> None:
     if not settings.overwrite:
         check_same_run(out, config)
     with progress_on(quiet=arguments.quiet) as progress, writing(out):
-        sequences = source
-        if not (source / MANIFEST).is_file():
-            sequences = out / SEQUENCES
-            progress.say(summary_line(preprocess(source, sequences, settings, progress), sequences))
+        if arguments.live:
+            live_team = LiveTeam(source, settings, live.speed)
+            team: PlayedTeam = live_team
+            manifest = live_team.manifest
+        else:
+            sequences = source
+            if not (source / MANIFEST).is_file():
+                sequences = out / SEQUENCES
+                progress.say(summary_line(preprocess(source, sequences, settings, progress), sequences))
+            team, manifest = RecordedTeam(sequences), read_manifest(sequences)
         if settings.overwrite:
             _forget(out)
         else:
-            check_same_run(out, config, of_manifest(read_manifest(sequences)))
-        _play(sequences, out, config, live, arguments.over, progress)
+            check_same_run(out, config, of_manifest(manifest))
+        _play(team, out, config, live, arguments.over, progress)
         page = write_report(out)
     print(json_of(out) if arguments.json else f"{table_of(out)}\n\nreport: {page}")
 
@@ -88,40 +101,41 @@ def _forget(out: Path) -> None:
     shutil.rmtree(out / JOURNALS, ignore_errors=True)
 
 
-def _play(sequences: Path, out: Path, config: MasConfig, live: LiveConfig, over: str, progress: Progress) -> None:
+def _play(team: PlayedTeam, out: Path, config: MasConfig, live: LiveConfig, over: str, progress: Progress) -> None:
     """Let the agents run, and record what they did."""
     import yaml
 
-    from maslam.mas.kernels import agent_kernels
     from maslam.mas.live.authority import AUTHORITY_FOLDER, make_team
     from maslam.mas.live.recorded_agent import met_in
     from maslam.mas.live.team_run import record_team
     from maslam.mas.output.run_folder import SUMMARY
-    from maslam.mas.sequence import load_sequences
 
     from ..common.compiling import compile_for
 
-    manifest, loaded = load_sequences(sequences)
     if (out / SUMMARY).exists():
         _forget(out)  # of a run that came to its end
-    compile_for(agent_kernels(len(loaded)), progress)
-    numbers = list(range(len(loaded)))
+    compile_for(team.kernels, progress)
+    numbers = list(range(len(team.totals)))
     folders = [out / JOURNALS / f"agent_{number:02d}" for number in numbers]
     with tempfile.TemporaryDirectory(prefix="maslam-team-") as scratch:
         credentials = make_team(Path(scratch), "team", numbers)
         shutil.rmtree(Path(scratch) / AUTHORITY_FOLDER)  # nobody joins later
         settings = Path(scratch) / "config.yaml"
-        settings.write_text(yaml.safe_dump(config.model_dump(mode="json")), encoding="utf-8")
+        content = {**config.model_dump(mode="json"), **team.settings}
+        settings.write_text(yaml.safe_dump(content), encoding="utf-8")
         commands = [
-            AgentCommand(number, sequences, folders[number], credentials[number], settings, live, over)
-            for number in numbers
+            AgentCommand(n, team.source, folders[n], credentials[n], settings, live, over, team.arguments(n))
+            for n in numbers
         ]
         started = time.perf_counter()
-        cpu_s = run_together(commands, [len(s.keyframe_stamps_ns) for s in loaded], progress)
+        cpu_s = run_together(commands, team.counted, team.totals, progress)
         wall_s = time.perf_counter() - started
     journals = [folder / JOURNAL for folder in folders]
     for number, journal in zip(numbers, journals, strict=True):
         never = sorted(set(numbers) - {number} - met_in(journal))
         if never:
             progress.say(f"warning: agent {number} never met {', '.join(f'agent {a}' for a in never)}")
-    record_team(manifest, loaded, config, journals, out, wall_s, cpu_s)
+    manifest, sequences = team.played(journals)
+    record_team(manifest, sequences, config, journals, out, wall_s, cpu_s)
+    for line in team.said(folders):
+        progress.say(line)
