@@ -134,6 +134,17 @@ def test_frames_may_be_lost(tmp_path: Path, clock: Clock) -> None:
     assert summary.groups == [[0, 1, 2]] and summary.matches.false_accepted == 0
 
 
+def test_answers_may_take_longer_than_a_step(tmp_path: Path, clock: Clock) -> None:
+    """Half a second one way, as long as a step: what an agent says of how far it is, is acknowledged a step later."""
+    team = Team(tmp_path, MemoryNetwork(delay_s=0.5, now_s=lambda: clock.now), clock)
+    for me in range(3):
+        team.start(me)
+    team.go_on(120)
+    assert sorted(team.ended) == [0, 1, 2]
+    summary = team.run_folder()
+    assert summary.groups == [[0, 1, 2]] and summary.matches.false_accepted == 0
+
+
 def test_a_late_agent_joins_those_who_wait(tmp_path: Path, clock: Clock) -> None:
     """Agent 2 comes while the others, whose drives are over, still settle."""
     team = Team(tmp_path, MemoryNetwork(), clock)
