@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from ..state.keyframe import KeyFrame
 from .candidates import Candidate, Candidates
 from .overlap_ends import OverlapEnds
 from .own_loops import FARTHEST, OwnLoops
-from .peer_queries import ClusterIndex, RecentQueries
+from .peer_queries import ClusterIndex, PlaceLog, RecentQueries
 from .sent_queries import SentQueries
 from .verification import Verification
 from .wider_search import WiderSearch
@@ -102,6 +102,20 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
                 self.candidates.recall(keyframe)
                 effects += self.ask(keyframe, [other])
         return effects
+
+    def directory_log(self) -> PlaceLog:
+        """Key-frames that the agent was asked about as the directory, or as the owner of a cluster."""
+        return self._cluster.log
+
+    def know(
+        self, told: Mapping[int, Iterable[int]], log: Iterable[Sequence[int]], vectors: NDArray[np.float32]
+    ) -> None:
+        """Of an earlier run: key-frames ``told`` to each other agent, and a log of them as it was the directory's."""
+        for other, keyframes in told.items():
+            for keyframe in keyframes:
+                self.sent_queries.sent(other, keyframe)
+        for (agent, keyframe), vector in zip(log, vectors, strict=True):
+            self._cluster.remember(agent, keyframe, vector)
 
     def bid(self, contract: Contract, call: Call) -> Answer:
         return Answer(Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.context.now_ns))
