@@ -204,7 +204,7 @@ class Agent:
         """Effects of a message; :class:`ProtocolError`, before anything has changed, if it makes no sense."""
         sender, identity, body = message.sender, message.contract, message.body
         if not isinstance(body, Result):  # a result that may not be is an objection: it ends its contract
-            objection = false_claim(sender, body, self.state.profile.everyone)
+            objection = false_claim(sender, body, self._everyone)
             if objection:
                 raise ProtocolError(objection)
         if isinstance(body, GroupNotice):
@@ -222,10 +222,17 @@ class Agent:
             return self._called(sender, identity, body)
         return self._advance(sender, identity, body)
 
+    @property
+    def _everyone(self) -> frozenset[int] | None:
+        """The agents that there are; None where nobody can know."""
+        return self.state.profile.everyone if self.state.profile.complete else None
+
     def _join(self, members: tuple[int, ...], known_by_sender: frozenset[int] = frozenset()) -> Effects:
-        """More agents are joined by matches: the group gets a notice, unless the sender knows as much."""
+        """More agents are joined by matches: the group gets a notice, unless the sender knows as much. Agents that it
+        has not met are left out: it cannot call them."""
         known = set(self.state.group)
-        return tell_group(self.context) if self.state.join(members) and not known <= known_by_sender else NOTHING
+        grown = self.state.join(self.state.profile.known(members))
+        return tell_group(self.context) if grown and not known <= known_by_sender else NOTHING
 
     def _called(self, sender: int, identity: ContractId, body: Call) -> Effects:
         """A call for proposals: bid or refuse."""
@@ -257,7 +264,7 @@ class Agent:
     def _objection(self, contract: Contract, outcome: Outcome) -> str:
         if outcome.belongs_to is not contract.operation:
             return f"{outcome.kind} is no result of {contract.operation.name.lower()}"
-        objection = false_claim(contract.contractor, Result(outcome), self.state.profile.everyone)
+        objection = false_claim(contract.contractor, Result(outcome), self._everyone)
         return (objection or self._operations[contract.operation].objection(contract, outcome))[:REASON_LENGTH]
 
     def _work(self, contract: Contract, award: Award) -> Effects:
