@@ -54,6 +54,7 @@ class MemoryNetwork:
         for link in self.links:
             if link.me == recipient and not self.lost(sender, recipient, data):
                 self._flying.append((self.now_s() + self.delay_s, link, Arrived(sender, data)))
+        self.deliver()
 
     def deliver(self) -> None:
         """What has been on its way for long enough arrives."""
