@@ -114,6 +114,7 @@ ATTACKS = [
     ("maslam", 0, hostile.Spoofer),
     ("maslam", 0, hostile.SendsHeaps),
     ("selection", 2, hostile.WrongAnswers),
+    ("maslam", 2, hostile.FitsTooWell),
 ]
 
 
