@@ -43,9 +43,8 @@ class Seller:
         """The latest version of the agent's own map, in the compact form; None before the first."""
         return self._publisher.published
 
-    @published.setter
-    def published(self, version: MapVersion) -> None:
-        """That of an earlier run: the next one counts on from it."""
+    def count_on(self, version: MapVersion) -> None:
+        """The next version counts on from this one of an earlier run."""
         self._publisher.published = version
         self._publisher.recent = {version.map.version: version.map}
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from maslam._atomic import replacing
+from maslam._replaced import replaced
 
 from ..errors import MasError
 from ..sequence import AgentEntry, AgentSequence, Manifest, load_agent, read_manifest, write_manifest
@@ -49,11 +50,11 @@ def read_earlier_run(folder: Path) -> EarlierRun:
         read = load_agent(part / entry.name, entry, its)
         source = own.source or manifest.source
         scale = entry.scale if read.metric == entry.metric else "arbitrary"
-        agents.append(own.model_copy(update={"source": source, "scale": scale}))
+        agents.append(replaced(own, source=source, scale=scale))
         sequences.append(replace(read, name=own.name))
         folders.append(part / entry.name)
     known = tuple(read_saved(folder / entry.name / SAVED) for entry in agents)
-    whole = manifest.model_copy(update={"agents": tuple(agents)})
+    whole = replaced(manifest, agents=tuple(agents))
     return EarlierRun(folder, whole, tuple(sequences), tuple(folders), known)
 
 
@@ -76,23 +77,21 @@ def joined_manifest(earlier: EarlierRun, manifest: Manifest) -> Manifest:
         raise MasError(f"{earlier.folder}: its positions count from {origins[0]}, those of this run from {origins[1]}")
     first, metric = len(earlier.manifest.agents), [m.scale == "metric" for m in (earlier.manifest, manifest)]
     own = [
-        entry.model_copy(
-            update={
-                "name": f"agent_{first + k:02d}",
-                "scale": entry.scale if metric[1] or not entry.metric else "arbitrary",
-            }
+        replaced(
+            entry,
+            name=f"agent_{first + k:02d}",
+            scale=entry.scale if metric[1] or not entry.metric else "arbitrary",
         )
         for k, entry in enumerate(manifest.agents)
     ]
     settings = {**manifest.settings, "onto": str(earlier.folder.resolve())}
     if origins[1] is None and origins[0] is not None:
         settings["gps"] = earlier.manifest.settings["gps"]
-    return manifest.model_copy(
-        update={
-            "agents": (*earlier.manifest.agents, *own),
-            "scale": "metric" if any(metric) else "arbitrary",
-            "settings": settings,
-        }
+    return replaced(
+        manifest,
+        agents=(*earlier.manifest.agents, *own),
+        scale="metric" if any(metric) else "arbitrary",
+        settings=settings,
     )
 
 

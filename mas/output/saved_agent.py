@@ -42,7 +42,8 @@ from ..state.place_match import Match, MatchEnd
 
 SAVED = "agent.msgpack"
 _MOST_BYTES = 2**30
-# Columns of a match beside its transform: track and way of both ends, depth, inliers, sigma of its log scale or NaN.
+# Columns of a match beside its transform: track and length driven of both ends, depth, inliers, sigma of its log scale
+# or NaN.
 _COLUMNS = 7
 _Matches = Annotated[tuple[MatchId, ...], msgspec.Meta(max_length=1_000_000)]
 
@@ -58,8 +59,8 @@ class SavedPiece(msgspec.Struct, frozen=True, array_like=True):
 
 class SavedMatches(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Verified matches, a row each: ``transforms`` ``(m, 8)`` ``T_M_Q``; ``ends`` ``(m, 2, 7)``: cameras of match and
-    query in their tracks; ``information`` ``(m, 6, 6)``; ``figures`` ``(m, 7)``: track and way of the match, of the
-    query, depth, inliers, and the deviation of the log scale (NaN: both are metric)."""
+    query in their tracks; ``information`` ``(m, 6, 6)``; ``figures`` ``(m, 7)``: track and length driven of the
+    match, of the query, depth, inliers, and the deviation of the log scale (NaN: both are metric)."""
 
     ids: _Matches
     transforms: Tensor
@@ -114,8 +115,8 @@ class SavedCopy(msgspec.Struct, frozen=True, array_like=True):
 
 class SavedAgent(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``places`` ``(K, 8)``: poses and units of its key-frames; ``state_version``: how often it had changed; ``used``:
-    matches that an optimisation or an update has used; ``told``: key-frames that each other agent was asked about;
-    ``log``, ``log_vectors``: key-frames of others that it was asked about as the directory, rows of agent and
+    matches that an optimisation or an update has used; ``sent``: key-frames that each other agent was asked about;
+    ``asked``, ``asked_vectors``: key-frames of others that it was asked about as the directory, rows of agent and
     key-frame, and their vectors as they came in the place code ``coder``; ``published``: the last version of its own
     map."""
 
@@ -131,23 +132,23 @@ class SavedAgent(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     matches: SavedMatches
     used: _Matches
     coder: str
-    told: dict[AgentId, tuple[Index, ...]]
-    log: Tensor
-    log_vectors: Tensor
+    sent: dict[AgentId, tuple[Index, ...]]
+    asked: Tensor
+    asked_vectors: Tensor
     copies: tuple[SavedCopy, ...]
     published: Parcel | None
 
     def __post_init__(self) -> None:
         check_sim3s("places", self.places, len(check("places", self.places, "<f8", (None, POSE_WIDTH + 1))))
-        rows = check("log", self.log, "<i8", (None, 2))
-        check("log_vectors", self.log_vectors, "<f4", (len(rows), None))
+        rows = check("asked", self.asked, "<i8", (None, 2))
+        check("asked_vectors", self.asked_vectors, "<f4", (len(rows), None))
         if len(rows) and rows.min() < 0:
-            raise MessageError("log: a number below 0")
+            raise MessageError("asked: a number below 0")
 
 
 def saved(agent: Agent) -> SavedAgent:
     """What this agent knows now."""
-    state, log = agent.state, agent.places.directory_log()
+    state, asked = agent.state, agent.places.asked_about()
     copies = [copy for _, copy in sorted(agent.maps.copies.items()) if copy.map_version is not None]
     published = agent.maps.seller.published
     unused = agent.pending.matches - agent.optimisation.running.updates.considered
@@ -164,9 +165,9 @@ def saved(agent: Agent) -> SavedAgent:
         matches=SavedMatches.of([state.verified[m] for m in sorted(state.verified)]),
         used=tuple(sorted(state.accepted - unused)),
         coder=f"{state.profile.model} {state.profile.coder.key}",
-        told={a: agent.places.sent_queries.known_to(a) for a in state.profile.others},
-        log=Tensor.of(np.array(log.keyframes, dtype=np.int64).reshape(-1, 2), "<i8"),
-        log_vectors=Tensor.of(log.vectors, "<f4"),
+        sent={a: agent.places.sent_queries.known_to(a) for a in state.profile.others},
+        asked=Tensor.of(np.array(asked.keyframes, dtype=np.int64).reshape(-1, 2), "<i8"),
+        asked_vectors=Tensor.of(asked.vectors, "<f4"),
         copies=tuple(
             SavedCopy(copy.seller, Parcel(copy.owner, pack_sim3(copy.placement), copy.route[:-1], (version.whole,)))
             for copy in copies
@@ -216,26 +217,23 @@ def _restore(agent: Agent, keyframes: Sequence[KeyFrame], known: SavedAgent) -> 
         raise MessageError("other tracks than its sequence has")
     if any(m.end_of(state.me)[0] >= len(keyframes) or state.me not in m.agents for m in known.matches.ids):
         raise MessageError("a match of a key-frame that it does not have")
-    state.poses = [place.se3() for place in places]
-    state.units = [1.0 if state.profile.metric else place.scale for place in places]
-    state.pieces = [Piece(p.track, p.first, p.frame, p.metric) for p in known.pieces]
-    state.lengths, state.odometry_length = dict(known.lengths), known.odometry_length
     for match in known.matches.matches():
         state.add_match(match)
     for other in known.distrusted:
         state.distrust(other, True)
     state.join(known.group)
-    state.version = known.state_version
+    pieces = [Piece(p.track, p.first, p.frame, p.metric) for p in known.pieces]
+    state.place_again(places, pieces, known.lengths, known.odometry_length, known.state_version)
     agent.pending.used(frozenset(known.used))
     if known.coder == f"{state.profile.model} {state.profile.coder.key}":
-        agent.places.know(known.told, known.log.array().tolist(), known.log_vectors.array())
+        agent.places.know(known.sent, known.asked.array().tolist(), known.asked_vectors.array())
     for copy in known.copies:
         version = version_of(copy.parcel.owner, None, copy.parcel.patches)
         placement = unpack_sim3(_placement(copy.parcel))
         route = (*copy.parcel.route, copy.seller)
-        agent.maps.copies[copy.parcel.owner] = copy_of_version(version, placement, route)
+        agent.maps.keep(copy_of_version(version, placement, route))
     if known.published is not None:
-        agent.maps.seller.published = version_of(state.me, None, known.published.patches)
+        agent.maps.seller.count_on(version_of(state.me, None, known.published.patches))
 
 
 def _placement(parcel: Parcel) -> Tensor:

@@ -26,7 +26,7 @@ from ..state.keyframe import KeyFrame
 from .candidates import Candidate, Candidates
 from .overlap_ends import OverlapEnds
 from .own_loops import FARTHEST, OwnLoops
-from .peer_queries import ClusterIndex, PlaceLog, RecentQueries
+from .peer_queries import ClusterIndex, LoggedPlaces, RecentQueries
 from .sent_queries import SentQueries
 from .verification import Verification
 from .wider_search import WiderSearch
@@ -103,18 +103,17 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
                 effects += self.ask(keyframe, [other])
         return effects
 
-    def directory_log(self) -> PlaceLog:
+    def asked_about(self) -> LoggedPlaces:
         """Key-frames that the agent was asked about as the directory, or as the owner of a cluster."""
-        return self._cluster.log
+        return self._cluster.logged
 
     def know(
-        self, told: Mapping[int, Iterable[int]], log: Iterable[Sequence[int]], vectors: NDArray[np.float32]
+        self, sent: Mapping[int, Iterable[int]], asked: Iterable[Sequence[int]], vectors: NDArray[np.float32]
     ) -> None:
-        """Of an earlier run: key-frames ``told`` to each other agent, and a log of them as it was the directory's."""
-        for other, keyframes in told.items():
-            for keyframe in keyframes:
-                self.sent_queries.sent(other, keyframe)
-        for (agent, keyframe), vector in zip(log, vectors, strict=True):
+        """Of an earlier run: key-frames ``sent`` to each other agent, and ``asked`` about as the directory."""
+        for other, keyframe in [(other, keyframe) for other, all_ in sent.items() for keyframe in all_]:
+            self.sent_queries.sent(other, keyframe)
+        for (agent, keyframe), vector in zip(asked, vectors, strict=True):
             self._cluster.remember(agent, keyframe, vector)
 
     def bid(self, contract: Contract, call: Call) -> Answer:

@@ -38,7 +38,7 @@ class QueryMatch:
 
 
 @dataclass(frozen=True, eq=False)
-class PlaceLog:
+class LoggedPlaces:
     """``keyframes``: agent and key-frame of each row; ``vectors`` ``(n, d)``, decoded."""
 
     keyframes: list[tuple[int, int]]
@@ -75,9 +75,9 @@ class ClusterIndex:
         self._known.add((agent, keyframe))
 
     @property
-    def log(self) -> PlaceLog:
+    def logged(self) -> LoggedPlaces:
         """All that is logged, the oldest first."""
-        return PlaceLog(list(self._who), self._vectors[: len(self._who)].copy())
+        return LoggedPlaces(list(self._who), self._vectors[: len(self._who)].copy())
 
     def nearest(self, vector: Vector, asker: int) -> LoggedPlace | None:
         """The nearest key-frame (Euclidean distance) that is not the asker's own; the older of equals; None where there

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
@@ -199,6 +199,21 @@ class AgentState:
         """``T_F_C`` with the key-frame's own unit of length as scale."""
         pose = self.poses[index]
         return Sim3(pose[:3, :3], pose[:3, 3], self.units[index])
+
+    def place_again(
+        self,
+        places: Sequence[Sim3],
+        pieces: Sequence[Piece],
+        lengths: Mapping[int, float],
+        odometry_length: float,
+        version: int,
+    ) -> None:
+        """Stand where it stood at the end of an earlier run: ``places``: each key-frame's pose, with its unit as
+        scale; ``version``: how often the state had changed by then."""
+        self.poses = [place.se3() for place in places]
+        self.units = [1.0 if self.profile.metric else place.scale for place in places]
+        self.pieces, self.lengths = list(pieces), dict(lengths)
+        self.odometry_length, self.version = odometry_length, version
 
     # -- matches ------------------------------------------------------------------------------------------------------
 

@@ -143,7 +143,7 @@ def test_an_agent_is_restored_as_it_was(runs: Runs) -> None:
         restore(agent, keyframes_of(sequence), known, "it")
         again = saved(agent)
         assert again.matches.ids == known.matches.ids and again.used == known.used and again.group == known.group
-        assert again.pieces == known.pieces and again.told == known.told and again.log == known.log
+        assert again.pieces == known.pieces and again.sent == known.sent and again.asked == known.asked
         np.testing.assert_allclose(again.places.array(), known.places.array(), atol=1e-12)
         np.testing.assert_array_equal(again.matches.information.array(), known.matches.information.array())
         assert [c.parcel.patches[-1].check for c in again.copies] == [c.parcel.patches[-1].check for c in known.copies]

@@ -71,13 +71,6 @@ def test_a_data_set_is_preprocessed_as_by_this_machine_alone(cluster: str, town_
     )
 
 
-def test_a_sweep_runs_there(cluster: str, tmp_path: Path) -> None:
-    options = ["--sequences", "town", "--town-agents", "2", "--frames", "20", "--width", "320", "--height", "180"]
-    options += ["--seeds", "0,1", "--no-reference", "--quiet", "--ray", cluster]
-    assert cli.main(["sweep", str(tmp_path / "out"), *options]) == 0
-    assert len(list((tmp_path / "out" / "runs").glob("*/summary.json"))) == 2
-
-
 def test_where_no_cluster_is_it_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], town_stereo: Path) -> None:
     assert cli.main(["preprocess", str(town_stereo), str(tmp_path / "out"), "--ray", "nobody-there:1", "--quiet"]) == 1
     assert capsys.readouterr().err.startswith("maslam: --ray nobody-there:1: no Ray cluster there: ")

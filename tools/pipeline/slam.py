@@ -105,6 +105,6 @@ def slam(
             check_same_run(out, config, of_manifest(whole))
         progress.say(summary_line(manifest, out / SEQUENCES))
         compile_for(agent_kernels(len(whole.agents)), progress)
-        told = counter(progress, "agents")
-        run(*load_sequences(out / SEQUENCES), config, out, told, policy, transport, earlier)
+        shown = counter(progress, "agents")
+        run(*load_sequences(out / SEQUENCES), config, out, shown, policy, transport, earlier)
         return write_report(out)
