@@ -205,6 +205,8 @@ class Agent:
         sender, identity, body = message.sender, message.contract, message.body
         if not isinstance(body, Result):  # a result that may not be is an objection: it ends its contract
             objection = false_claim(sender, body, self._everyone)
+            if objection and isinstance(body, Bid):
+                return self._false_bid(sender, identity, objection)
             if objection:
                 raise ProtocolError(objection)
         if isinstance(body, GroupNotice):
@@ -221,6 +223,12 @@ class Agent:
         if isinstance(body, Call):
             return self._called(sender, identity, body)
         return self._advance(sender, identity, body)
+
+    def _false_bid(self, sender: int, identity: ContractId | None, objection: str) -> Effects:
+        """Its contract ends at once: the others' bids would wait for this one until the deadline."""
+        managed = self.context.ledger.managed(identity) if identity is not None else []
+        spoilt = [contract for contract in managed if contract.contractor == sender]
+        return self.context.refuse(sender, objection) + self.context.cancel(spoilt, "a bid that may not be")
 
     @property
     def _everyone(self) -> frozenset[int] | None:

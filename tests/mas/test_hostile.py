@@ -108,7 +108,7 @@ ATTACKS = [
     ("default", 0, hostile.NoisySolver),
     ("default", 2, hostile.NoisySolver),
     ("default", 2, hostile.RowTooMany),
-    ("maslam", 2, hostile.BidsForOthers),
+    ("default", 2, hostile.BidsForOthers),
     ("maslam", 0, hostile.FalseDirectory),
     ("maslam", 2, hostile.SellsUnordered),
     ("maslam", 0, hostile.Spoofer),
