@@ -10,7 +10,7 @@ CORE := $(VENV)/.core-installed
 WORLDS := $(VENV)/.worlds-installed
 DEV := $(VENV)/.dev-installed
 
-.PHONY: demo test lint docs coverage fuzz relayed lock resolve clean
+.PHONY: demo test lint docs coverage fuzz hostile relayed lock resolve clean
 demo: $(WORLDS)
 	$(BIN)/maslam demo --out $(OUT)
 
@@ -57,6 +57,10 @@ N ?= 100000
 SEED ?= 0
 fuzz: $(DEV)
 	$(BIN)/python tests/mas/fuzz_messages.py $(N) $(SEED)
+
+# Each attack against three presets, with the others' errors: minutes (PRESET=… for one of them).
+hostile: $(DEV)
+	$(BIN)/python tests/mas/hostile_table.py $(PRESET)
 
 # Teams of processes behind relays that lose, delay and swallow what passes: minutes (TEAM=… for one of them).
 relayed: $(DEV)

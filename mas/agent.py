@@ -211,7 +211,9 @@ class Agent:
         """Effects of a message; :class:`ProtocolError`, before anything has changed, if it makes no sense."""
         sender, identity, body = message.sender, message.contract, message.body
         if not isinstance(body, Result):  # a result that may not be is an objection: it ends its contract
-            objection = false_claim(sender, body, self.state.profile.everyone)
+            objection = false_claim(sender, body, self._everyone)
+            if objection and isinstance(body, Bid):
+                return self._false_bid(sender, identity, objection)
             if objection:
                 raise ProtocolError(objection)
         if isinstance(body, GroupNotice):
@@ -229,10 +231,23 @@ class Agent:
             return self._called(sender, identity, body)
         return self._advance(sender, identity, body)
 
+    def _false_bid(self, sender: int, identity: ContractId | None, objection: str) -> Effects:
+        """Its contract ends at once: the others' bids would wait for this one until the deadline."""
+        managed = self.context.ledger.managed(identity) if identity is not None else []
+        spoilt = [contract for contract in managed if contract.contractor == sender]
+        return self.context.refuse(sender, objection) + self.context.cancel(spoilt, "a bid that may not be")
+
+    @property
+    def _everyone(self) -> frozenset[int] | None:
+        """The agents that there are; None where nobody can know."""
+        return self.state.profile.everyone if self.state.profile.complete else None
+
     def _join(self, members: tuple[int, ...], known_by_sender: frozenset[int] = frozenset()) -> Effects:
-        """More agents are joined by matches: the group gets a notice, unless the sender knows as much."""
+        """More agents are joined by matches: the group gets a notice, unless the sender knows as much. Agents that it
+        has not met are left out: it cannot call them."""
         known = set(self.state.group)
-        return tell_group(self.context) if self.state.join(members) and not known <= known_by_sender else NOTHING
+        grown = self.state.join(self.state.profile.known(members))
+        return tell_group(self.context) if grown and not known <= known_by_sender else NOTHING
 
     def _called(self, sender: int, identity: ContractId, body: Call) -> Effects:
         """A call for proposals: bid or refuse."""
@@ -264,7 +279,7 @@ class Agent:
     def _objection(self, contract: Contract, outcome: Outcome) -> str:
         if outcome.belongs_to is not contract.operation:
             return f"{outcome.kind} is no result of {contract.operation.name.lower()}"
-        objection = false_claim(contract.contractor, Result(outcome), self.state.profile.everyone)
+        objection = false_claim(contract.contractor, Result(outcome), self._everyone)
         return (objection or self._operations[contract.operation].objection(contract, outcome))[:REASON_LENGTH]
 
     def _work(self, contract: Contract, award: Award) -> Effects:

@@ -125,6 +125,7 @@ class AgentEntry(_Entry):
     lost: tuple[LostEntry, ...] = ()
     doubtful: tuple[LostEntry, ...] = Field(default=(), description="intervals with poses that are not to be relied on")
     missing: tuple[MissingEntry, ...] = Field(default=(), description="images that the source's numbering lacks")
+    source: str | None = Field(default=None, description="of an earlier run's agent: where its images came from")
     scale: Literal["metric", "arbitrary"] | None = Field(
         default=None, description="unit of poses that another system gave; null: by the camera"
     )

@@ -25,10 +25,13 @@ from .agent import Agent
 from .config import AUTO_CODE, MasConfig
 from .contracts.effects import Effects, Event
 from .errors import MasError
+from .evaluation.earlier_map import EarlierMap
 from .evaluation.ground_truth import GroundTruthEvaluator
 from .evaluation.summarise import FinishedRun
 from .evaluation.summary import Summary, Timing
+from .output.earlier_run import EarlierRun, joined_manifest, joined_sequences, keep_earlier
 from .output.run_folder import Recorder
+from .output.saved_agent import SAVED, restore
 from .output.whole_run import record_run, timeline_row
 from .policies.cluster_owners import centres_before
 from .policies.foreign import PolicyLike
@@ -159,14 +162,20 @@ def run(
     progress: RunProgress | None = None,
     policy: PolicyLike | None = None,
     transport: TransportLike | None = None,
+    onto: EarlierRun | None = None,
 ) -> Summary:
-    """Run the multi-agent system on agent sequences and write the RUN folder ``out``, whole or not at all.
+    """Run the multi-agent system on agent sequences and write the RUN folder ``out``, whole or not at all. ``onto``: a
+    finished run whose agents are there from the start, and answer; ``manifest`` and ``sequences`` are the later ones'.
 
     ``progress(done, total)`` counts steps. ``policy``, ``transport``: a user's own instead of those that ``config``
     names. Same sequences, config and seed: same bytes in every file but ``timing.json``.
     """
     given = {"policy": policy, "transport": transport}
     config = replaced(config, **{key: name_of(own) for key, own in given.items() if own is not None})
+    count = 0 if onto is None else len(onto.sequences)
+    if onto is not None:
+        manifest = joined_manifest(onto, manifest)
+        sequences = joined_sequences(onto, manifest, sequences)
     faults = config.faults
     strangers = sorted({*faults.late_s, *faults.leave_s, *faults.blackout_s} - set(range(len(sequences))))
     if strangers:
@@ -174,19 +183,37 @@ def run(
     started = time.perf_counter()
     keyframes = [keyframes_of(sequence) for sequence in sequences]
     agents = make_agents(manifest, sequences, config, policy)
+    earlier = None if onto is None else _restored(onto, agents[:count], keyframes, sequences)
+    keyframes[:count] = [[] for _ in range(count)]  # they have been driven
     evaluator = GroundTruthEvaluator(sequences, sum(entry.frames for entry in manifest.left_out))
     log.info("%d agents, preset %s, policy %s, seed %d", len(agents), config.preset, config.policy, config.seed)
     with Recorder(out) as recorder, watch_compiling() as compilations:
+        if onto is not None:
+            keep_earlier(onto, out)
         carrier = make_transport(config, recorder.sent, transport)
         environment = Environment(agents, keyframes, carrier, config)
         recorder.begin_timeline(len(agents))
         steps = _play(environment, evaluator, recorder, progress)
-        finished = FinishedRun(agents, sequences, config, carrier, environment.events, steps, manifest.left_out)
+        finished = FinishedRun(
+            agents, sequences, config, carrier, environment.events, steps, manifest.left_out, earlier
+        )
         summary = record_run(recorder, manifest, finished, evaluator)
         wall = time.perf_counter() - started - compilations.seconds
         recorder.timing(Timing(wall_s=wall, realtime_factor=summary.duration_s / wall))
     log.info("done in %d steps, %.1f s", steps, wall)
     return summary
+
+
+def _restored(
+    onto: EarlierRun,
+    agents: Sequence[Agent],
+    keyframes: Sequence[list[KeyFrame]],
+    sequences: Sequence[AgentSequence],
+) -> EarlierMap:
+    """Make the agents of an earlier run what they were at its end; returns its map."""
+    for agent, own, known in zip(agents, keyframes, onto.known, strict=False):
+        restore(agent, own, known, str(onto.folder / sequences[agent.state.me].name / SAVED))
+    return EarlierMap(agents, sequences, onto.manifest.scale == "metric")
 
 
 def make_transport(config: MasConfig, record: Callable[[Sent], None], given: TransportLike | None = None) -> Transport:

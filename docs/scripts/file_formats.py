@@ -104,6 +104,8 @@ TRAJECTORIES = {
     "ellipsoid); only where positions were given in degrees",
     "groundtruth.tum": "the same, ground truth where it is known",
     "graph.g2o": "the agent's pose graph: its poses, its odometry, its matches; node ids name agent and key-frame",
+    "agent.msgpack": "what the agent knows at the end, for a later run (`--onto`): poses and units, tracks, verified "
+    "matches, what it asked and was asked, compact copies of maps (MessagePack, `maslam.mas.output.saved_agent`)",
     "map.ply": "own map and all copies merged: `x y z`, colour by owner, `agent`",
     "maps/agent_NN.tum, .ply": "the copy of another agent's map: key-frames, points",
     "maps/colmap/": "the merged map as a COLMAP model: `cameras.bin`, `images.bin`, `points3D.bin`; images have the "

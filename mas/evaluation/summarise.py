@@ -20,6 +20,7 @@ from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport
 from .coverage import coverage_of, one_frame
+from .earlier_map import EarlierMap
 from .graph_fit import graph_figures
 from .ground_truth import GroundTruthEvaluator, MatchError, groups_of, of_same_image
 from .load_figures import load_of
@@ -41,7 +42,7 @@ from .truth_fit import truth_figures
 @dataclass(frozen=True)
 class FinishedRun:
     """A run at its end: agents with their sequences, the transport with its counts, the event log; ``left_out``:
-    sequences without an agent."""
+    sequences without an agent; ``earlier``: the map of the run that it was made onto."""
 
     agents: Sequence[Agent]
     sequences: Sequence[AgentSequence]
@@ -50,6 +51,7 @@ class FinishedRun:
     events: Sequence[Event]
     steps: int
     left_out: Sequence[LeftOutEntry] = ()
+    earlier: EarlierMap | None = None
 
 
 def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[MatchId, MatchError]) -> Summary:
@@ -104,6 +106,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         graphs=graph_figures(agents),
         truths=truth_figures(sequences),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
+        earlier=None if run.earlier is None else run.earlier.figures(agents),
         load=load_of(len(agents), transport, run.events),
         refused_messages=sum(r.refused for a in agents for r in a.context.reputation.records.values()),
         reputation=reputations(agents),

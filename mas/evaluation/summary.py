@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from ..sequence import LeftOutEntry, LostEntry, MissingEntry
+from .earlier_figures import EarlierFigures
 from .load_figures import LoadFigures
 
 
@@ -286,6 +287,7 @@ class Summary(_Figures):
     map_copies: list[MapCopyFigures]
     load: list[LoadFigures] = Field(default=[], description="of each agent; empty: a run before it was written")
     positions: PositionFigures | None = Field(default=None, description="None: no agent had any")
+    earlier: EarlierFigures | None = Field(default=None, description="None: onto no earlier run")
     refused_messages: int
     reputation: list[ReputationFigures] = Field(
         default=[], validation_alias=AliasChoices("reputation", "standing"), description="of each agent with the others"

@@ -61,9 +61,14 @@ class Session:
         self._answers.append(frame)
 
     @property
+    def sending(self) -> bool:
+        """Whether a long message is on its way."""
+        return self._sender.busy
+
+    @property
     def busy(self) -> bool:
         """Whether a long message is on its way, or a phase not acknowledged."""
-        return self._sender.busy or self._notice is not None
+        return self.sending or self._notice is not None
 
     @property
     def awaits_answer(self) -> bool:

@@ -78,8 +78,13 @@ class Neighbours:
 
     @property
     def busy(self) -> bool:
-        """Whether something is on its way to an agent that is there."""
+        """Whether something is on its way to an agent that is there, how far I am included."""
         return any(session.busy for session in self._sessions())
+
+    @property
+    def sending(self) -> bool:
+        """Whether a long message is on its way to an agent that is there."""
+        return any(session.sending for session in self._sessions())
 
     def refusals(self) -> dict[int, str]:
         """Why agents that are there are not talked to."""

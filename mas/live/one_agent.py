@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 from ..agent import Agent
@@ -56,7 +57,8 @@ def inputs_of(
     """The agent of a sequence, which knows nobody yet."""
     policy = policy_of(config, me)
     common = CommonProfile(manifest.descriptor, coder_of(manifest, config.places.code), policy.ownership)
-    agent = Agent(profile_of(me, (), entry, sequence, common), config, policy)
+    profile = replace(profile_of(me, (), entry, sequence, common), complete=False)
+    agent = Agent(profile, config, policy)
     return AgentInputs(agent, keyframes_of(sequence), round(config.max_message_mb * 2**20))
 
 

@@ -196,7 +196,9 @@ class AgentProcess:
             if not alone and DrivePhase.DRIVING not in others:
                 self.agent.finish(now_ns)
         else:
-            still = inputs.agent.quiet and not self.neighbours.busy
+            # A phase that is not acknowledged yet keeps nobody busy: where answers take longer than a step, saying so
+            # would be the next thing to say, without end.
+            still = inputs.agent.quiet and not self.neighbours.sending
             phase = DrivePhase.RESTING if still else DrivePhase.CLOSING
         if phase is not self.neighbours.phase:
             self.neighbours.announce(phase)

@@ -226,6 +226,10 @@ class MapExchange(Operation[MapOrder, MapDelivery]):
             **verdict.remarks(),
         )
 
+    def keep(self, copy: MapCopy) -> None:
+        """A copy that was bought in an earlier run."""
+        self.copies[copy.owner] = copy
+
     # -- holder -------------------------------------------------------------------------------------------------------
 
     def realign(self, adoption: Adoption | UpdatedPoses) -> Effects:

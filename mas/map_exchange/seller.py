@@ -16,6 +16,7 @@ from .full_map import fresh_rows, own_submap
 from .full_map_increments import without
 from .map_copy import MapCopy, submap_of
 from .publisher import Publisher
+from .versions import MapVersion
 
 # What a key-frame's pose and a point take in a compact map, roughly: for the estimate in a bid.
 _POSE_BYTES, _POINT_BYTES = 8, 2
@@ -36,6 +37,16 @@ class Seller:
     def sold(self) -> dict[int, QuantisedMap]:
         """The last versions of the agent's own map, in the compact form."""
         return self._publisher.recent
+
+    @property
+    def published(self) -> MapVersion | None:
+        """The latest version of the agent's own map, in the compact form; None before the first."""
+        return self._publisher.published
+
+    def count_on(self, version: MapVersion) -> None:
+        """The next version counts on from this one of an earlier run."""
+        self._publisher.published = version
+        self._publisher.recent = {version.map.version: version.map}
 
     @property
     def _compact(self) -> bool:

@@ -128,6 +128,9 @@ class Optimisation(Operation[OptimiseTask, OptimiseAnswer]):
             return Answer(None)
         if not self.state.keyframes:
             return Answer(Refusal("nothing to optimise yet"))
+        strange = set(call.members) - self.state.profile.everyone
+        if strange:  # its messages would not come here, and the optimisation never end
+            return Answer(Refusal(f"agent {min(strange)} is not known here"))
         if self.running.suspicion.left_out in (contract.manager, *call.members):
             return Answer(Refusal("optimisations with one of these were spoilt"))
         effects = NOTHING

@@ -40,13 +40,16 @@ from ..transport.transport import Sent
 from .colmap import write_colmap
 from .fused_map import fused, write_map, write_ply
 from .georeferenced import write_georeferenced
+from .saved_agent import SAVED, write_saved
 from .sightings import MapOwner, map_owner
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
 _EARLIER = "summary.json.old"  # an earlier run's, while its files are being replaced
 _OURS = re.compile(r"agent_\d+|(config|manifest|events|matches|traffic|timeline|timing)\.[a-z]+|report|recording\.rrd")
-_BESIDE = {"sequences", "town", "journals"}  # what a command may have put beside a run; left as it is
+SEQUENCES, EARLIER = "sequences", "earlier"
+"""Folders of agent sequences beside a run: its own, and those of the run that it was made onto."""
+_BESIDE = {SEQUENCES, EARLIER, "town", "journals"}  # what a command may have put beside a run; left as it is
 _MATCH_COLUMNS = [
     "time_s",
     "query_agent",
@@ -206,6 +209,7 @@ class Recorder:
         write_tum(folder / "trajectory_keyframes.tum", later(keyframe_trajectory(agent.state), start_ns))
         if sequence.groundtruth is not None:
             write_tum(folder / GROUNDTRUTH, later(sequence.groundtruth, start_ns))
+        write_saved(folder / SAVED, agent)
         if not agent.state.keyframes:
             return
         write_g2o(folder / "graph.g2o", own_graph(agent.state))

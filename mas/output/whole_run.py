@@ -33,7 +33,8 @@ def record_run(
         recorder.agent(me, agents, sequences)
         recorder.georeferenced(me, agents, sequences, places.get(me), datum)
     summary = summarise(finished, evaluator, errors)
-    ends_ns = [s.keyframe_stamps_ns[-1] for s in sequences if len(s.keyframe_stamps_ns)]
+    first = 0 if summary.earlier is None else summary.earlier.agents
+    ends_ns = [s.keyframe_stamps_ns[-1] for s in sequences[first:] if len(s.keyframe_stamps_ns)]
     duration = float(max(ends_ns, default=0)) / 1e9
     summary = replaced(summary, duration_s=duration, positions=position_figures(on_earth, datum, config))
     recorder.summary(summary)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,7 @@ from ..state.keyframe import KeyFrame
 from .candidates import Candidate, Candidates
 from .overlap_ends import OverlapEnds
 from .own_loops import FARTHEST, OwnLoops
-from .peer_queries import ClusterIndex, RecentQueries
+from .peer_queries import ClusterIndex, LoggedPlaces, RecentQueries
 from .sent_queries import SentQueries
 from .verification import Verification
 from .wider_search import WiderSearch
@@ -102,6 +102,19 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
                 self.candidates.recall(keyframe)
                 effects += self.ask(keyframe, [other])
         return effects
+
+    def asked_about(self) -> LoggedPlaces:
+        """Key-frames that the agent was asked about as the directory, or as the owner of a cluster."""
+        return self._cluster.logged
+
+    def know(
+        self, sent: Mapping[int, Iterable[int]], asked: Iterable[Sequence[int]], vectors: NDArray[np.float32]
+    ) -> None:
+        """Of an earlier run: key-frames ``sent`` to each other agent, and ``asked`` about as the directory."""
+        for other, keyframe in [(other, keyframe) for other, all_ in sent.items() for keyframe in all_]:
+            self.sent_queries.sent(other, keyframe)
+        for (agent, keyframe), vector in zip(asked, vectors, strict=True):
+            self._cluster.remember(agent, keyframe, vector)
 
     def bid(self, contract: Contract, call: Call) -> Answer:
         return Answer(Bid(cost_bytes=PLACE_ANSWER_BYTES, ready_ns=self.context.now_ns))

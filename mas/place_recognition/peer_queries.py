@@ -37,6 +37,14 @@ class QueryMatch:
     distance: float
 
 
+@dataclass(frozen=True, eq=False)
+class LoggedPlaces:
+    """``keyframes``: agent and key-frame of each row; ``vectors`` ``(n, d)``, decoded."""
+
+    keyframes: list[tuple[int, int]]
+    vectors: Vector
+
+
 @dataclass(eq=False)
 class ClusterIndex:
     """All key-frames whose vectors fell into the cluster that this agent owns, whoever's they are (thesis sections
@@ -65,6 +73,11 @@ class ClusterIndex:
         self._vectors[row], self._agents[row], self._squares[row] = vector, agent, vector @ vector
         self._who.append((agent, keyframe))
         self._known.add((agent, keyframe))
+
+    @property
+    def logged(self) -> LoggedPlaces:
+        """All that is logged, the oldest first."""
+        return LoggedPlaces(list(self._who), self._vectors[: len(self._who)].copy())
 
     def nearest(self, vector: Vector, asker: int) -> LoggedPlace | None:
         """The nearest key-frame (Euclidean distance) that is not the asker's own; the older of equals; None where there

@@ -31,6 +31,10 @@ class SentQueries:
         """Key-frames sent to the other, those of failed contracts among them."""
         return self._to.get(other, set())
 
+    def known_to(self, other: int) -> tuple[int, ...]:
+        """Key-frames that the other was asked about, in order, as far as the agent knows."""
+        return tuple(sorted(self.to(other) - self._missed.get(other, set())))
+
     def unsent(self, other: int) -> list[int]:
         """Key-frames that the other does not know, as far as the agent knows; the oldest first."""
         sent, missed = self.to(other), self._missed.get(other, set())

@@ -14,9 +14,10 @@ from .messages import Award, Bid, Body, Call, GroupNotice, MapNotice, Result
 from .tasks import OptimiseTask
 
 
-def false_claim(sender: int, body: Body, everyone: Set[int]) -> str:
-    """Why ``sender`` may not say this, empty where it may. ``everyone``: the agents that there are."""
-    strangers = set(_named(body)) - everyone
+def false_claim(sender: int, body: Body, everyone: Set[int] | None) -> str:
+    """Why ``sender`` may not say this, empty where it may. ``everyone``: the agents that there are; None:
+    nobody has a list of them, and a name alone proves no lie."""
+    strangers = set(_named(body)) - everyone if everyone is not None else set()
     if strangers:
         return f"there is no agent {min(strangers)}"
     if isinstance(body, Bid) and body.links is not None:

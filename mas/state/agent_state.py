@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
@@ -53,7 +53,8 @@ class Profile:
     ``model``: hash of the descriptor's network; ``threshold``: its calibrated distance, ``strict_threshold``: the one
     at which appearance alone decides; ``coder``: how place vectors travel, the same for all; ``ownership``: who keeps
     them; ``centres`` ``(k, d)``: of the clusters that have owners, in the numbers that travel, else None;
-    ``pixel_deg``: what a pixel of its camera spans, degrees.
+    ``pixel_deg``: what a pixel of its camera spans, degrees; ``complete``: there are no agents but these. On a real
+    network others may know agents that this one has not met.
     """
 
     me: int
@@ -66,6 +67,7 @@ class Profile:
     centres: NDArray[np.float32] | None = None
     strict_threshold: float | None = None
     pixel_deg: float = 0.0
+    complete: bool = True
 
     def __post_init__(self) -> None:
         if (self.ownership is Ownership.CLUSTERS) != (self.centres is not None):
@@ -75,6 +77,10 @@ class Profile:
     def everyone(self) -> frozenset[int]:
         """The agent and all others."""
         return frozenset({self.me, *self.others})
+
+    def known(self, members: Iterable[int]) -> tuple[int, ...]:
+        """Those of these agents that it knows, in their order."""
+        return tuple(a for a in members if a in self.everyone)
 
     @cached_property
     def language(self) -> int:
@@ -193,6 +199,21 @@ class AgentState:
         """``T_F_C`` with the key-frame's own unit of length as scale."""
         pose = self.poses[index]
         return Sim3(pose[:3, :3], pose[:3, 3], self.units[index])
+
+    def place_again(
+        self,
+        places: Sequence[Sim3],
+        pieces: Sequence[Piece],
+        lengths: Mapping[int, float],
+        odometry_length: float,
+        version: int,
+    ) -> None:
+        """Stand where it stood at the end of an earlier run: ``places``: each key-frame's pose, with its unit as
+        scale; ``version``: how often the state had changed by then."""
+        self.poses = [place.se3() for place in places]
+        self.units = [1.0 if self.profile.metric else place.scale for place in places]
+        self.pieces, self.lengths = list(pieces), dict(lengths)
+        self.odometry_length, self.version = odometry_length, version
 
     # -- matches ------------------------------------------------------------------------------------------------------
 

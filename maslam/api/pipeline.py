@@ -26,7 +26,7 @@ from maslam.tools.pipeline import slam as chain
 from maslam.tools.pipeline.earlier_result import check_same_run, of_manifest
 from maslam.tools.pipeline.predecessor import sequences_for
 from maslam.tools.pipeline.preprocess_options import DEFAULT_OVERLAP, SECTIONS
-from maslam.tools.pipeline.run import DEFAULT_PRESET
+from maslam.tools.pipeline.run import DEFAULT_PRESET, earlier_run, joined
 
 from .common import (
     PathLike,
@@ -110,6 +110,7 @@ def run(
     settings: Settings | None = None,
     policy: PolicyLike | str | None = None,
     transport: TransportLike | str | None = None,
+    onto: Run | PathLike | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Run:
@@ -126,6 +127,7 @@ def run(
         settings: some settings by name, ``{"places.threshold": 0.8}``; ``maslam run --help`` lists them.
         policy: your own (:class:`maslam.Policy`; each agent gets a copy), or one by name.
         transport: your own (:class:`maslam.Transport`), or one by name.
+        onto: an earlier run, or its folder: its agents answer, and the new ones find themselves in its map.
         overwrite: replace a run in ``out`` of other sequences or with other settings, which is refused otherwise.
         progress: called with title, steps done and all steps.
 
@@ -134,15 +136,17 @@ def run(
     """
     config = _config(preset, seed, nested(settings), policy, transport)
     check_out(Path(out))
+    earlier = earlier_run(_folder(onto), Path(out))
     tasks = CallbackProgress(progress)
     folder = sequences.folder if isinstance(sequences, Sequences) else Path(sequences)
     manifest, loaded = sequences_for(folder, Path(out), tasks, overwrite)
+    whole = joined(earlier, manifest)
     if not overwrite:
-        check_same_run(Path(out), config, of_manifest(manifest))
-    compile_for(agent_kernels(len(loaded)), tasks)
+        check_same_run(Path(out), config, of_manifest(whole))
+    compile_for(agent_kernels(len(whole.agents)), tasks)
     told = counter(tasks, "agents")
     with writing(Path(out)):
-        simulation.run(manifest, loaded, config, Path(out), told, _object(policy), _object(transport))
+        simulation.run(manifest, loaded, config, Path(out), told, _object(policy), _object(transport), earlier)
     return Run.load(out)
 
 
@@ -168,6 +172,7 @@ def slam(
     settings: Settings | None = None,
     policy: PolicyLike | str | None = None,
     transport: TransportLike | str | None = None,
+    onto: Run | PathLike | None = None,
     workers: int = 1,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
@@ -180,7 +185,7 @@ def slam(
         out: folder for the results; ``out/sequences`` holds the agent sequences.
         agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, gps, gps_offset_s, gps_sigma_m,
             gps_antenna_m, workers, overwrite: as in :func:`maslam.preprocess`.
-        preset, seed, policy, transport: as in :func:`maslam.run`.
+        preset, seed, policy, transport, onto: as in :func:`maslam.run`.
         settings: of the agents, ``{"places.threshold": 0.8}``, of the odometry,
             ``{"odometry.features.tracks": 500}``, of what is read, ``{"recording.stride": 2}``, and how,
             ``{"images.masks": "masks"}``.
@@ -197,7 +202,8 @@ def slam(
         own, agents, overlap, rig, dataset, readers, descriptor, provider, vocabulary, workers, overwrite, positions
     )
     shown = CallbackProgress(progress)
-    chain.slam(Path(source), Path(out), told, config, shown, _object(policy), _object(transport))
+    given = (_object(policy), _object(transport), _folder(onto))
+    chain.slam(Path(source), Path(out), told, config, shown, *given)
     return Run.load(out)
 
 
@@ -217,6 +223,10 @@ def _config(
     if _object(transport) is None:
         check_transport(config.transport)
     return config
+
+
+def _folder(onto: Run | PathLike | None) -> Path | None:
+    return onto.folder if isinstance(onto, Run) else None if onto is None else Path(onto)
 
 
 def _name(given: object) -> str | None:

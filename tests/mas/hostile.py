@@ -15,7 +15,9 @@ from maslam.backend.distributed.messages import Decision, Report, Values
 from maslam.backend.distributed.solution import encode_solution
 from maslam.backend.distributed.solver_stage import SolverStage
 from maslam.backend.geometry import Sim3, se3_exp
+from maslam.mas.config import MasConfig
 from maslam.mas.contracts.effects import Effects
+from maslam.mas.policies.base import Policy
 from maslam.mas.protocol.ids import ContractId, FrameId, MatchId, OperationKind
 from maslam.mas.protocol.map_messages import MapDelivery, SubMap
 from maslam.mas.protocol.messages import (
@@ -44,7 +46,16 @@ from maslam.mas.protocol.tasks import (
     VerifyAnswer,
     VerifyTask,
 )
-from maslam.mas.protocol.tensors import Tensor, pack_information, pack_poses, pack_sim3, pack_sim3s
+from maslam.mas.protocol.tensors import (
+    Tensor,
+    pack_information,
+    pack_poses,
+    pack_sim3,
+    pack_sim3s,
+    unpack_poses,
+    unpack_sim3,
+)
+from maslam.mas.state.agent_state import Profile
 
 FAR = 100_000
 FAR_NS = 2**62
@@ -451,3 +462,30 @@ class WrongAnswers(Hostile):
         if isinstance(outcome, VerifyAnswer):
             return [msgspec.structs.replace(message, body=Result(PlaceAnswer(0, 0.1)))]
         return [message]
+
+
+class FitsTooWell(Hostile):
+    """14: finds each of its places again where the first match and both odometries say that it is: two odometries that
+    do not drift at all, by what it says, so that matches seem worth little."""
+
+    def __init__(self, profile: Profile, config: MasConfig, policy: Policy) -> None:
+        super().__init__(profile, config, policy)
+        self._joins: dict[tuple[int, int, int], Sim3] = {}
+        self._queries: dict[MatchId, VerifyTask] = {}
+
+    def handle(self, message: Message) -> Effects:
+        task = task_of(message)
+        if isinstance(task, VerifyTask):
+            self._queries[task.match] = task
+        return super().handle(message)
+
+    def other(self, message: Message) -> list[Message]:
+        outcome = outcome_of(message)
+        if not isinstance(outcome, VerifyAnswer) or not outcome.accepted or outcome.T_M_Q is None:
+            return [message]
+        task = self._queries[outcome.match]
+        T_T_M, T_T_Q = (Sim3.from_se3(unpack_poses(one.array())) for one in (outcome.T_T_M, task.T_T_Q))
+        here = T_T_M @ unpack_sim3(outcome.T_M_Q) @ T_T_Q.inverse()
+        joins = self._joins.setdefault((message.recipient, task.track, outcome.track), here)
+        self.sent += 1
+        return [changed(message, T_M_Q=pack_sim3(T_T_M.inverse() @ joins @ T_T_Q))]

@@ -9,10 +9,17 @@ from maslam.mas.transport.link import Arrived, Link, Presence
 
 
 class MemoryNetwork:
-    """``lost(sender, recipient, data)`` says what does not arrive."""
+    """``lost(sender, recipient, data)`` says what does not arrive; ``delay_s``: one way, by the clock ``now_s``."""
 
-    def __init__(self, lost: Callable[[int, int, bytes], bool] = lambda sender, recipient, data: False) -> None:
+    def __init__(
+        self,
+        lost: Callable[[int, int, bytes], bool] = lambda sender, recipient, data: False,
+        delay_s: float = 0.0,
+        now_s: Callable[[], float] = lambda: 0.0,
+    ) -> None:
         self.lost = lost
+        self.delay_s, self.now_s = delay_s, now_s
+        self._flying: deque[tuple[float, MemoryLink, Arrived]] = deque()
         self.sent: list[tuple[int, int, bytes]] = []
         self.links: list[MemoryLink] = []
 
@@ -46,7 +53,14 @@ class MemoryNetwork:
         self.sent.append((sender, recipient, data))
         for link in self.links:
             if link.me == recipient and not self.lost(sender, recipient, data):
-                link.queue.append(Arrived(sender, data))
+                self._flying.append((self.now_s() + self.delay_s, link, Arrived(sender, data)))
+        self.deliver()
+
+    def deliver(self) -> None:
+        """What has been on its way for long enough arrives."""
+        while self._flying and self._flying[0][0] <= self.now_s():
+            _, link, arrived = self._flying.popleft()
+            link.queue.append(arrived)
 
 
 class MemoryLink(Link):
@@ -66,6 +80,7 @@ class MemoryLink(Link):
         self.network.carry(self.me, other, data)
 
     def receive(self, wait_s: float) -> Arrived | Presence | None:
+        self.network.deliver()
         return self.queue.popleft() if self.queue else None
 
     def publish(self, topic: str, data: bytes) -> None:

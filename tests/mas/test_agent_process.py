@@ -13,6 +13,7 @@ from factory import town
 from memory_links import MemoryLink, MemoryNetwork
 
 from maslam._replaced import replaced
+from maslam.mas.contracts.reputation import Trust
 from maslam.mas.errors import MasError
 from maslam.mas.evaluation.summary import Summary
 from maslam.mas.live import process as process_module
@@ -141,6 +142,51 @@ def test_frames_may_be_lost(tmp_path: Path, clock: Clock) -> None:
     assert sorted(team.ended) == [0, 1, 2]
     summary = team.run_folder()
     assert summary.groups == [[0, 1, 2]] and summary.matches.false_accepted == 0
+
+
+def test_answers_may_take_longer_than_a_step(tmp_path: Path, clock: Clock) -> None:
+    """Half a second one way, as long as a step: what an agent says of how far it is, is acknowledged a step later."""
+    team = Team(tmp_path, MemoryNetwork(delay_s=0.5, now_s=lambda: clock.now), clock)
+    for me in range(3):
+        team.start(me)
+    team.go_on(120)
+    assert sorted(team.ended) == [0, 1, 2]
+    summary = team.run_folder()
+    assert summary.groups == [[0, 1, 2]] and summary.matches.false_accepted == 0
+
+
+def test_two_that_never_exchange_a_frame_are_joined_by_the_third(tmp_path: Path, clock: Clock) -> None:
+    """What names an agent that one has not met is no lie: nobody loses trust, and nobody waits in vain."""
+    team = Team(tmp_path, MemoryNetwork(lambda sender, recipient, data: {sender, recipient} == {0, 2}), clock)
+    for me in range(3):
+        team.start(me)
+    agents = {me: process.agent.agent for me, process in team.processes.items()}
+    team.go_on(120)
+    drive_s = max(sequence.keyframe_stamps_ns[-1] for sequence in team.sequences) / 1e9
+    assert sorted(team.ended) == [0, 1, 2] and max(team.ended.values()) < 100.0 + drive_s + 15.0
+    assert agents[0].state.profile.others == agents[2].state.profile.others == (1,)
+    trust = {r.trust(a) for agent in agents.values() for r in [agent.context.reputation] for a in r.records}
+    assert trust == {Trust.GOOD} and not any(
+        r.refused for a in agents.values() for r in a.context.reputation.records.values()
+    )
+    summary = team.run_folder()
+    assert summary.groups == [[0, 1, 2]] and summary.matches.false_accepted == 0
+
+
+def test_two_teams_on_one_network_do_not_disturb_each_other(tmp_path: Path, clock: Clock) -> None:
+    """The same numbers, the same team's name, two authorities: each is what it is alone, and ends when it would."""
+    network = MemoryNetwork()
+    teams = [Team(tmp_path / name, network, clock, agents=2) for name in ("ours", "theirs")]
+    for team in teams:
+        for me in range(2):
+            team.start(me)
+    while any(team.processes for team in teams) and clock.now < 160.0:
+        for team in teams:
+            team.go_on(0.02)
+    for team in teams:
+        assert sorted(team.ended) == [0, 1] and max(team.ended.values()) < 120.0
+        summary = team.run_folder()
+        assert summary.groups == [[0, 1]] and summary.matches.false_accepted == 0
 
 
 def test_a_late_agent_joins_those_who_wait(tmp_path: Path, clock: Clock) -> None:

@@ -108,12 +108,13 @@ ATTACKS = [
     ("default", 0, hostile.NoisySolver),
     ("default", 2, hostile.NoisySolver),
     ("default", 2, hostile.RowTooMany),
-    ("maslam", 2, hostile.BidsForOthers),
+    ("default", 2, hostile.BidsForOthers),
     ("maslam", 0, hostile.FalseDirectory),
     ("maslam", 2, hostile.SellsUnordered),
     ("maslam", 0, hostile.Spoofer),
     ("maslam", 0, hostile.SendsHeaps),
     ("selection", 2, hostile.WrongAnswers),
+    ("maslam", 2, hostile.FitsTooWell),
 ]
 
 

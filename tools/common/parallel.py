@@ -96,7 +96,7 @@ def run_jobs(
     tasks = {name: progress.start(name, steps) for name, (_, steps) in jobs.items()}
     if min(workers, len(jobs)) <= 1 and not fresh:
         return {
-            name: _guarded(work, name, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()
+            name: guarded(work, name, job, partial(progress.advance, tasks[name])) for name, (job, _) in jobs.items()
         }
     try:
         return _in_pool(work, jobs, workers, progress, tasks, fresh)
@@ -261,22 +261,27 @@ def _settle_in(relay: Relay, prepare: Callable[[], None]) -> None:
     let_through()
     relay.attach()
     prepare()
+    one_thread_each()
+
+
+def one_thread_each() -> None:
+    """In a worker: every library on one thread, from now on. With more, results depend on the machine and its load."""
     import cv2
     from threadpoolctl import threadpool_limits
 
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     threadpool_limits(1)
-
     cv2.setNumThreads(1)
 
 
 def _in_worker(work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job) -> JobOutcome[Result]:
-    return _guarded(work, name, job, lambda level: _levels.put((name, level)))
+    return guarded(work, name, job, lambda level: _levels.put((name, level)))
 
 
-def _guarded(
+def guarded(
     work: Callable[[Job, Callable[[int], None]], Result], name: str, job: Job, advance: Callable[[int], None]
 ) -> JobOutcome[Result]:
+    """Do one job; what ends it is its outcome."""
     try:
         with working_on(name):
             return JobOutcome(work(job, advance), None)

@@ -146,3 +146,15 @@ class _HelpAll(argparse.Action):
         assert isinstance(parser, CommandParser)
         parser._print_message(parser.format_all(), sys.stdout)
         parser.exit()
+
+
+def add_ray(parser: argparse.ArgumentParser, what: str) -> None:
+    """``--ray [ADDRESS]``."""
+    parser.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        nargs="?",
+        const="",
+        help=f"{what} on a Ray cluster whose machines see the same folders (without ADDRESS: RAY_ADDRESS, else this "
+        "machine alone)",
+    )

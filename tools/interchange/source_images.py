@@ -86,6 +86,8 @@ def find_images(
     ``moved``: where the source's folder is now, None where it was. ``ToolError`` where they are not there, or are taken
     with another camera than the run was made with.
     """
+    for entry in (manifest.agents[a] for a in members if manifest.agents[a].source is not None):
+        raise ToolError(f"{entry.name} is of an earlier run of {entry.source}: export its images from that run")
     root = Path(manifest.source) if moved is None else moved
     cure = "name their folder with --images DIR" if moved is None else "--images names another folder"
     settings = manifest.settings
@@ -98,8 +100,9 @@ def find_images(
     except FrontendError as error:
         raise ToolError(f"{error}: the images of this run cannot be read from there; {cure}") from error
     sequences = {sequence.name: sequence for sequence in dataset.sequences}
-    if len(sequences) == 1 and len({entry.sequence for entry in manifest.agents}) == 1:
-        sequences = {manifest.agents[0].sequence: dataset.sequences[0]}  # the folder was renamed
+    own = {entry.sequence for entry in manifest.agents if entry.source is None}
+    if len(sequences) == 1 and len(own) == 1:
+        sequences = {own.pop(): dataset.sequences[0]}  # the folder was renamed
     found = {}
     for a in members:
         entry = manifest.agents[a]

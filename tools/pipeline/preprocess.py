@@ -89,7 +89,7 @@ def preprocess(
     """
     check_apart(source, out)
     check_free(out)
-    model, dataset = open_source(source, settings)
+    model, dataset = open_source(source if settings.ray is None else source.resolve(), settings)
     dataset, positions, lines = with_positions(dataset, settings.positions, None)
     for line in lines:
         progress.say(line)
@@ -139,10 +139,12 @@ def _made(
     from .tracking_plan import notes_of, plan_tracking
 
     store, workers = settings.store or out / FRONTEND, settings.workers or core_count()
+    store = store if settings.ray is None else store.resolve()  # another machine begins elsewhere
     dataset, refined = refine_guessed(dataset, store, progress, workers)
     of = (settings.odometry, settings.model, settings.vocabulary, store, settings.provider)
     plan = plan_tracking(dataset, lambda sequence: make_job(sequence, *of))
-    done = track_all(dataset, replace(plan, problems=[*plan.problems, *refined]), track_job, workers, progress)
+    plan = replace(plan, problems=[*plan.problems, *refined])
+    done = track_all(dataset, plan, track_job, workers, progress, settings.ray)
     problems, misfits, split = done.problems, truth_problems(done.tracked), split_of(settings)
     plans = all_agents(done.tracked, split)
     notes = notes_of(dataset)

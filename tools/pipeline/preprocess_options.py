@@ -12,7 +12,7 @@ from ..common.errors import UsageError
 from ..common.found_positions import NO_POSITIONS, PositionSettings
 from ..common.names import check_name
 from ..common.options import add_model_options, build
-from ..common.parser import at_least_one
+from ..common.parser import add_ray, at_least_one
 from .positions import add_position_options, positions_from
 
 if TYPE_CHECKING:
@@ -36,7 +36,8 @@ class PreprocessSettings:
     sequence's neighbours; ``dataset``: the kind to read the source as; ``readers``: a user's own; ``store``: folder of
     the front end's results, by default OUT/frontend; ``recording``: what of the source is read, by default all;
     ``reading``: masks, and how images are understood, None: as they are; ``overwrite``: replace a result of another
-    source or of other settings."""
+    source or of other settings; ``ray``: address of a Ray cluster that does the front end's work, empty: as the
+    environment says, None: this machine's processes do."""
 
     odometry: OdometryConfig
     agents: int | None = None
@@ -53,6 +54,7 @@ class PreprocessSettings:
     overwrite: bool = False
     positions: PositionSettings = NO_POSITIONS
     reading: ReadingConfig | None = None
+    ray: str | None = None
 
 
 def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,6 +102,7 @@ def add_preprocess_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processes (default: one per core, at most one per sequence)",
     )
+    add_ray(parser, "the front end's work")
     add_overwrite(parser)
     from maslam.frontend.config import OdometryConfig
     from maslam.frontend.datasets.reading_config import ReadingConfig
@@ -139,6 +142,7 @@ def settings_from(arguments: argparse.Namespace, content: Mapping[str, Any]) -> 
         workers=arguments.workers,
         recording=build(RecordingConfig(), arguments, content.get(RECORDING), arguments.config, RECORDING),
         overwrite=arguments.overwrite,
+        ray=arguments.ray,
         positions=positions_from(arguments),
         reading=build(ReadingConfig(), arguments, content.get(READING), arguments.config, READING),
     )

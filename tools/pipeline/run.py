@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from maslam._suggestions import did_you_mean
 
-from ..common.errors import UnknownName
+from ..common.errors import UnknownName, UsageError
 from ..common.names import check_name
 from ..common.options import DEST, add_model_options, build, option_name, read_settings
 from ..common.progress import counter, progress_on
@@ -17,6 +17,8 @@ from ..common.yaml_lines import place_of
 
 if TYPE_CHECKING:
     from maslam.mas.config import LinkConfig, MasConfig
+    from maslam.mas.output.earlier_run import EarlierRun
+    from maslam.mas.sequence import Manifest
 
 DEFAULT_PRESET = "maslam"
 
@@ -38,7 +40,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overwrite", action="store_true", help="replace a run in OUT of other sequences or with other settings"
     )
+    add_onto_argument(parser)
     add_run_arguments(parser)
+
+
+def add_onto_argument(parser: argparse.ArgumentParser) -> None:
+    """``--onto RUN``."""
+    parser.add_argument(
+        "--onto",
+        type=Path,
+        metavar="RUN",
+        help="an earlier run, whose agents answer: the new ones find themselves in its map and extend it "
+        "(default: begin a new map)",
+    )
+
+
+def earlier_run(onto: Path | None, out: Path) -> EarlierRun | None:
+    """The run that a new one in ``out`` is made onto."""
+    from maslam.mas.output.earlier_run import read_earlier_run
+
+    if onto is None:
+        return None
+    if out.resolve() == onto.resolve():
+        raise UsageError(f"--onto {onto}: is the folder for the results; choose another one, the earlier run is kept")
+    return read_earlier_run(onto)
+
+
+def joined(onto: EarlierRun | None, manifest: Manifest) -> Manifest:
+    """The manifest of the run: with the agents of the earlier one, if there is one."""
+    from maslam.mas.output.earlier_run import joined_manifest
+
+    return manifest if onto is None else joined_manifest(onto, manifest)
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,10 +122,12 @@ def main(arguments: argparse.Namespace) -> None:
 
     config = config_from(arguments, read_settings(arguments.config))
     check_out(arguments.out)
+    onto = earlier_run(arguments.onto, arguments.out)
     with progress_on(quiet=arguments.quiet) as progress, writing(arguments.out):
         manifest, sequences = sequences_for(arguments.sequences, arguments.out, progress, arguments.overwrite)
+        whole = joined(onto, manifest)
         if not arguments.overwrite:
-            check_same_run(arguments.out, config, of_manifest(manifest))
-        compile_for(agent_kernels(len(sequences)), progress)
-        run(manifest, sequences, config, arguments.out, counter(progress, "agents"))
+            check_same_run(arguments.out, config, of_manifest(whole))
+        compile_for(agent_kernels(len(whole.agents)), progress)
+        run(manifest, sequences, config, arguments.out, counter(progress, "agents"), onto=onto)
     print(json_of(arguments.out) if arguments.json else table_of(arguments.out))

@@ -19,7 +19,7 @@ from .preprocess_options import (
     add_preprocess_arguments,
     settings_from,
 )
-from .run import add_run_arguments, config_from
+from .run import add_onto_argument, add_run_arguments, config_from, earlier_run, joined
 
 if TYPE_CHECKING:
     from maslam.mas.config import MasConfig
@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument("--json", action="store_true", help="print the figures, as in OUT/summary.json, as one object")
+    add_onto_argument(parser)
     add_preprocess_arguments(parser)
     add_run_arguments(parser)
 
@@ -64,7 +65,7 @@ def main(arguments: argparse.Namespace) -> None:
     settings = settings_from(arguments, content)
     config = config_from(arguments, {key: value for key, value in content.items() if key not in SECTIONS})
     with progress_on(quiet=arguments.quiet) as progress:
-        page = slam(arguments.source, arguments.out, settings, config, progress)
+        page = slam(arguments.source, arguments.out, settings, config, progress, onto=arguments.onto)
     print(json_of(arguments.out) if arguments.json else f"{table_of(arguments.out)}\n\nreport: {page}")
 
 
@@ -76,10 +77,11 @@ def slam(
     progress: Progress,
     policy: PolicyLike | None = None,
     transport: TransportLike | None = None,
+    onto: Path | None = None,
 ) -> Path:
     """Preprocess ``source``, run the agents, write ``out`` and its report; returns the report's page.
 
-    ``policy``, ``transport``: a user's own instead of those that ``config`` names.
+    ``policy``, ``transport``: a user's own instead of those that ``config`` names; ``onto``: an earlier run.
     """
     from maslam.mas.kernels import agent_kernels
     from maslam.mas.output.run_folder import check_out
@@ -93,13 +95,16 @@ def slam(
 
     check_apart(source, out)
     check_out(out)
+    earlier = earlier_run(onto, out)
     if not settings.overwrite:
         check_same_run(out, config)
     with writing(out):
         manifest = preprocess(source, out / SEQUENCES, settings, progress, judged_later=True)
+        whole = joined(earlier, manifest)
         if not settings.overwrite:
-            check_same_run(out, config, of_manifest(manifest))
+            check_same_run(out, config, of_manifest(whole))
         progress.say(summary_line(manifest, out / SEQUENCES))
-        compile_for(agent_kernels(len(manifest.agents)), progress)
-        run(*load_sequences(out / SEQUENCES), config, out, counter(progress, "agents"), policy, transport)
+        compile_for(agent_kernels(len(whole.agents)), progress)
+        shown = counter(progress, "agents")
+        run(*load_sequences(out / SEQUENCES), config, out, shown, policy, transport, earlier)
         return write_report(out)

@@ -32,12 +32,14 @@ def track_all(
     work: Callable[[Any, Callable[[int], None]], None],
     workers: int,
     progress: Progress,
+    ray: str | None = None,
 ) -> TrackedSequences:
-    """Do ``work``, which leaves a job's result in its store, for the jobs of ``plan``. :class:`ToolError` where no
-    sequence can be used."""
+    """Do ``work``, which leaves a job's result in its store, for the jobs of ``plan``; ``ray``: on the Ray cluster of
+    this address. :class:`ToolError` where no sequence can be used."""
     from maslam.frontend.kernels import odometry_kernels
     from maslam.mas.sequence import LeftOutEntry
 
+    from ..common.cluster import run_on_cluster
     from ..common.compiling import compile_for
     from ..common.parallel import run_jobs
     from .agent_folder import stand_in
@@ -46,9 +48,12 @@ def track_all(
 
     jobs, problems, left_out = plan.jobs, list(plan.problems), list(plan.left_out)
     refused = [problem.message for problem in dataset.problems] + [f"{e.sequence}: {e.reason}" for e in left_out]
-    compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
     named = {job.sequence.name: (job, len(job.sequence)) for job in jobs}
-    outcomes = run_jobs(work, named, workers, progress)
+    if ray is None:
+        compile_for(odometry_kernels({job.sequence.rig.kind for job in jobs if not is_tracked(job)}), progress)
+        outcomes = run_jobs(work, named, workers, progress)
+    else:
+        outcomes = run_on_cluster(work, named, ray, progress)
     errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
     untracked = ["; ".join(filter(None, (f"{n}: {describe(error)}", plan.off.get(n)))) for n, error in errors.items()]
     problems += [f"{name}: {describe(error)}" for name, error in errors.items()]

@@ -36,7 +36,11 @@ class MatchImages:
 
 def sample_images(run: RunData) -> tuple[list[MatchImages], str]:
     """Up to ``SHOWN`` accepted matches with their images; where there are none, the reason in a sentence."""
-    rows = choose(run.accepted)
+    own = {k for k, entry in enumerate(run.manifest.agents) if entry.source is None}
+    here = [row for row in run.accepted if own.issuperset((int(row["query_agent"]), int(row["match_agent"])))]
+    rows = choose(here)
+    if run.accepted and not rows:
+        return [], "All accepted matches are with agents of the earlier run, whose images lie elsewhere."
     if not rows:
         return [], "No match was accepted, so there are no images to show."
     try:

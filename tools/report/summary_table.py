@@ -13,6 +13,7 @@ from maslam._bounded import Unreadable, read_text
 from ..common.errors import ToolError
 from ..common.text_table import aligned, counted
 from .coverage_table import HEAD, coverage_rows, in_one_frame, lost_lines, percent_text
+from .earlier_lines import earlier_lines
 from .graph_warnings import graph_lines, odometry_lines
 from .measured import keyframes_measured_on, measured_on, odometry_measured_on
 from .position_lines import position_lines
@@ -92,7 +93,14 @@ def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     agents, keyframes = counted(summary["agents"], "agent"), counted(summary["keyframes"], "key-frame")
     head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {keyframes}"
     warnings = [*truth_lines(summary), *graph_lines(summary)]
-    last = [*_matches(summary), *odometry_lines(summary), *position_lines(summary), *warnings, _time(timing)]
+    last = [
+        *_matches(summary),
+        *odometry_lines(summary),
+        *position_lines(summary),
+        *earlier_lines(summary),
+        *warnings,
+        _time(timing),
+    ]
     parts = [[head], _errors(summary), _coverage(summary), _traffic(summary), last]
     return "\n\n".join("\n".join(part) for part in parts if part)
 

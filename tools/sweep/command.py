@@ -14,7 +14,7 @@ from maslam._atomic import replacing, write_atomically
 from ..common.earlier_settings import modernised
 from ..common.errors import ToolError
 from ..common.options import add_model_options, build, read_settings
-from ..common.parser import at_least_one
+from ..common.parser import add_ray, at_least_one
 from ..common.progress import Progress, progress_on
 from ..common.writing import writing
 
@@ -49,9 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--workers", type=at_least_one, default=0, metavar="N", help="processes (default: one per core)"
     )
-    parser.add_argument(
-        "--ray", metavar="ADDRESS", nargs="?", const="", help="runs on a Ray cluster that sees the same folders"
-    )
+    add_ray(parser, "runs and the front end")
     parser.add_argument("--json", action="store_true", help="print the rows as one JSON list")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_model_options(parser, SweepPlan())
@@ -70,7 +68,8 @@ def main(arguments: argparse.Namespace) -> None:
         build(preset(name), argparse.Namespace(), plan.settings, arguments.plan, SETTINGS)
     data = os.environ.get("MASLAM_DATA")
     poses = arguments.poses or (Path(data) / "kitti_poses" if data else None)
-    workshop = Workshop(arguments.out, poses, arguments.kitti, arguments.workers)
+    out = arguments.out if arguments.ray is None else arguments.out.resolve()  # another machine begins elsewhere
+    workshop = Workshop(out, poses, arguments.kitti, arguments.workers)
     with progress_on(quiet=arguments.quiet) as progress:
         rows, page = sweep(plan, workshop, progress, not arguments.no_reference, arguments.ray)
     if arguments.json:
@@ -112,7 +111,7 @@ def _swept(
     from .rows import grouped, row_of
     from .tables import report
 
-    prepare(plan, workshop, progress)
+    prepare(plan, workshop, progress, ray)
     known: dict[str, dict[str, Any]] = references(plan, workshop, progress) if with_reference else {}
     figures = execute(plan, workshop, progress, ray)
     rows = [row_of(cell, each, known.get(cell.material)) for cell, each in figures.items()]

@@ -6,7 +6,7 @@ import json
 import logging
 import shutil
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,7 +72,7 @@ def check_sources(plan: SweepPlan, workshop: Workshop) -> None:
             _ = workshop.images(cell) if workshop.kitti is not None else workshop.pose_file(cell)
 
 
-def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
+def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress, ray: str | None = None) -> None:
     """Images and agent sequences of all cells; the front end runs once for each sequence, however it is cut."""
     from maslam.frontend.config import OdometryConfig
 
@@ -91,7 +91,13 @@ def prepare(plan: SweepPlan, workshop: Workshop, progress: Progress) -> None:
         split = None if cell.sequence == TOWN else cell.agents
         store = workshop.out / FRONTEND / images.name
         settings = PreprocessSettings(
-            OdometryConfig(), agents=split, overlap=plan.overlap, workers=workshop.workers, store=store, overwrite=True
+            OdometryConfig(),
+            agents=split,
+            overlap=plan.overlap,
+            workers=workshop.workers,
+            store=store,
+            overwrite=True,
+            ray=ray,
         )
         preprocess(images, workshop.sequences(cell), settings, progress)
 
@@ -120,7 +126,9 @@ def execute(plan: SweepPlan, workshop: Workshop, progress: Progress, ray: str | 
     todo = {name: job for name, job in jobs.items() if not job[0].done()}
     log.info("%d of %d runs to do", len(todo), len(jobs))
     if ray is not None:
-        errors = _on_ray([job for job, _ in todo.values()], ray, progress)
+        from ..common.cluster import run_on_cluster
+
+        outcomes = run_on_cluster(run_cell, todo, ray, progress)
     else:
         from maslam.mas.kernels import agent_kernels
 
@@ -129,7 +137,7 @@ def execute(plan: SweepPlan, workshop: Workshop, progress: Progress, ray: str | 
 
         compile_for(agent_kernels(max((job.cell.agents for job, _ in todo.values()), default=0)), progress)
         outcomes = run_jobs(run_cell, todo, workshop.workers or core_count(), progress)
-        errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
+    errors = {name: outcome.error for name, outcome in outcomes.items() if outcome.error is not None}
     for name, error in errors.items():
         progress.say(f"{name}: {error}")
     if errors:
@@ -204,28 +212,3 @@ def _rendering(plan: SweepPlan, workshop: Workshop, cell: Cell) -> Any:
     return RenderConfig(
         world="town", agents=1, frames=frames, poses_file=poses, poses_step=plan.step, rate_hz=10.0 / plan.step, **size
     )
-
-
-def _on_ray(jobs: Sequence[SweepJob], address: str, progress: Progress) -> dict[str, Exception]:
-    """The same on a Ray cluster, whose machines must see the same folders."""
-    try:
-        import ray
-    except ImportError as error:
-        raise ToolError(f"--ray needs the package ray: {error}") from error
-    ray.init(address=address or None, log_to_driver=False)
-    remote = ray.remote(num_cpus=1)(_quietly)
-    waiting = {remote.remote(job): job for job in jobs}
-    task, errors, pending = progress.start("runs on ray", len(jobs)), {}, list(waiting)
-    while pending:
-        finished, pending = ray.wait(pending)
-        for reference in finished:
-            try:
-                ray.get(reference)
-            except Exception as error:  # noqa: BLE001 - whatever ended this run, the others go on
-                errors[waiting[reference].cell.name] = error
-        progress.advance(task, len(jobs) - len(pending))
-    return errors
-
-
-def _quietly(job: SweepJob) -> None:
-    run_cell(job, lambda level: None)
