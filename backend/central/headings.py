@@ -37,7 +37,7 @@ class Headings:
 
 
 @dataclass(frozen=True, eq=False)
-class Corrected:
+class CorrectedOdometry:
     """The minimum ``found``, the ``lengths`` and ``headings`` that it is of, and the ``edges`` corrected by them."""
 
     found: Descended
@@ -53,7 +53,7 @@ def with_corrections(
     kept: NDArray[np.bool_],
     steps: OdometrySteps,
     freedom: int,
-) -> Corrected:
+) -> CorrectedOdometry:
     """Lengths, headings where ``steps`` have any, then lengths once more; ``found`` as it is where none is called for.
 
     ``found``: the minimum of F with the nodes ``held`` and the units ``kept`` ``(n,)``; ``freedom``: its degrees.
@@ -62,15 +62,15 @@ def with_corrections(
     stretched = steps.stretched(edges, lengths.factors)
     none = Headings(False, np.zeros((steps.count, 3)), 0.0)
     if steps.count == 0 or steps.turning <= 0 or freedom <= 0:
-        return Corrected(found, stretched, lengths, none)
+        return CorrectedOdometry(found, stretched, lengths, none)
     better, headings = _with_headings(stretched, found, held, kept, steps, freedom)
     if not headings.used:
-        return Corrected(found, stretched, lengths, headings)
+        return CorrectedOdometry(found, stretched, lengths, headings)
     # Lengths were found on tracks that were bent.
     turned = steps.turned(edges, headings.rates)
     straight, again = with_lengths(turned, minimum_from(turned, better, held, kept), held, kept, steps, freedom)
     taken = replace(straight, steps=better.steps + straight.steps)
-    return Corrected(taken, steps.stretched(turned, again.factors), again, headings)
+    return CorrectedOdometry(taken, steps.stretched(turned, again.factors), again, headings)
 
 
 def _with_headings(
@@ -82,14 +82,14 @@ def _with_headings(
     freedom: int,
 ) -> tuple[Descended, Headings]:
     rates, now = np.zeros((steps.count, 3)), found
-    at = _Linear(edges, now, held, kept, steps, rates)
+    at = _InRates(edges, now, held, kept, steps, rates)
     if at.evidence(1.0) <= CLEAR:
         return found, Headings(False, rates, at.evidence(1.0))
     for _ in range(ROUNDS):
         change = at.change()
         rates = rates + change
         now = minimum_from(steps.turned(edges, rates), now, held, kept)
-        at = _Linear(edges, now, held, kept, steps, rates)
+        at = _InRates(edges, now, held, kept, steps, rates)
         if np.abs(change).max() < SETTLED * steps.turning:
             break
     noise, _, others = at.noise(freedom)
@@ -99,7 +99,7 @@ def _with_headings(
     return replace(now, steps=found.steps + now.steps), Headings(True, rates, evidence)
 
 
-class _Linear:
+class _InRates:
     """F's second-order model in the rates, at poses that are best for them."""
 
     def __init__(
@@ -123,8 +123,8 @@ class _Linear:
         by_rate = -way[:, None, None] * turn_derivatives(R[i], product(R[i], R_ij), R_ij)[1]
         residual = (R[j] - product(R[i], R_ij)).reshape(-1, 9, 1)
         pull = own.kappa[:, None, None] * by_rate
-        told = (np.swapaxes(pull, 1, 2) @ residual)[:, :, 0]
-        gradient = np.stack([steps.sums(used, told[:, axis]) for axis in range(3)], axis=1)
+        pulled = (np.swapaxes(pull, 1, 2) @ residual)[:, :, 0]
+        gradient = np.stack([steps.sums(used, pulled[:, axis]) for axis in range(3)], axis=1)
         self._gradient = (gradient + rates / steps.turning**2).ravel()
         curvature = np.repeat(steps.sums(used, 2.0 * own.kappa * way**2), 3)
         cross = np.zeros((n, 7, 3))

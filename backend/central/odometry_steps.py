@@ -53,8 +53,8 @@ class OdometrySteps:
         turn = so3_log(np.swapaxes(R[:, 0] @ e.measured[:, :3, :3], 1, 2) @ R[:, 1])
         # |R exp([a]) - R|^2 is 2 |a|^2.
         pull = 2.0 * e.kappa * way
-        told = np.stack([self.sums(used, pull * turn[:, axis]) for axis in range(3)], axis=1)
-        return np.asarray(told / (self.sums(used, pull * way) + self.turning**-2.0)[:, None])
+        pulled = np.stack([self.sums(used, pull * turn[:, axis]) for axis in range(3)], axis=1)
+        return np.asarray(pulled / (self.sums(used, pull * way) + self.turning**-2.0)[:, None])
 
     def turned(self, edges: SimilarityEdges, rates: Array) -> SimilarityEdges:
         """The edges with each step turned by its robot's rate ``(count, 3)`` over its length."""

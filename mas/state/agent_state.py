@@ -112,7 +112,7 @@ class AgentState:
     lengths_settled: bool = True
     # What the last optimisation multiplied all lengths of odometry by, and by how much more it turned it, rad/m.
     odometry_length: float = 1.0
-    odometry_turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    odometry_turn: Array = field(default_factory=lambda: np.zeros(3))
     _agreements: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
     _mine: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
 

@@ -158,7 +158,7 @@ def adopt(
         if outcome.positions and outcome.accepted and state.profile.metric:
             learn_length(state, track)
     if outcome.accepted:
-        state.odometry_length, state.odometry_turn = outcome.length, outcome.turn
+        state.odometry_length, state.odometry_turn = outcome.length, np.array(outcome.turn)
     state.version += 1
     return Adoption(before, frozenset(task.matches), elsewhere)
 

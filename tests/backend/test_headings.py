@@ -131,8 +131,8 @@ def test_the_result_is_the_minimum_and_the_evidence_its_marginal_likelihood() ->
     a = solved.arrays()
     edges, steps = metric_edges(solved, 0.01, sigma)
     start, kept = Descended(a.poses, np.zeros(len(a.poses)), 0), np.ones(len(a.poses), dtype=bool)
-    told = with_corrections(edges, start, anchors(a), kept, steps, freedom(solved)).headings
-    assert told.used and told.evidence == pytest.approx(odds, abs=0.5)
+    reported = with_corrections(edges, start, anchors(a), kept, steps, freedom(solved)).headings
+    assert reported.used and reported.evidence == pytest.approx(odds, abs=0.5)
 
 
 def test_elected_ends_where_central_does() -> None:
@@ -174,11 +174,11 @@ def test_the_command_writes_them_corrected_and_says_so(tmp_path, capsys) -> None
     assert cli.main(["pgo", str(path), str(out), "--method", "central", *options]) == 0
     assert "odometry turns evenly, and is written corrected" in capsys.readouterr().out
     assert cli.main(["pgo", str(path), str(out), "--method", "central", "--overwrite", "--json", *options]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["turns_deg_m"]["0"] == pytest.approx(TURNS[0], abs=0.012) and told["lengths"] == {}
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["turns_deg_m"]["0"] == pytest.approx(TURNS[0], abs=0.012) and reported["lengths"] == {}
     written = read_g2o(out)
-    assert cost(written, "F") == pytest.approx(told["cost"]["F"], rel=1e-2)
-    assert told["cost"]["F"] < 0.8 * optimise(graph, CentralConfig()).cost_after
+    assert cost(written, "F") == pytest.approx(reported["cost"]["F"], rel=1e-2)
+    assert reported["cost"]["F"] < 0.8 * optimise(graph, CentralConfig()).cost_after
     assert cli.main(["pgo", str(path), str(out), "--method", "central", "--overwrite", *options[2:]]) == 2
     assert "--central.length-sigma" in capsys.readouterr().err
     with pytest.raises(maslam.MaslamError, match="beside lengths"):
