@@ -195,9 +195,10 @@ class SolverConfig(Settings):
         description="elected: 1 sigma of the factor by which all odometry of a metric robot is too long or too short "
         "(a wrong baseline); found where loops call for one; 0: lengths are taken as they are",
     )
-    elected_longest: int = Field(
-        default=1, ge=1, description="elected: most odometry edges that are sent as one; 1: all as they are"
+    heading_sigma_deg: float = Field(
+        default=0.0, ge=0, le=0.1, description="beside length_sigma: 1 sigma of an even turn of odometry, degrees/m"
     )
+    elected_longest: int = Field(default=1, ge=1, description="elected: most odometry edges that are sent as one")
     elected_fineness: float = Field(
         default=256.0,
         gt=0,
@@ -260,6 +261,9 @@ class CentralConfig(Settings):
         le=0.2,
         description="1 sigma of the factor by which all of a robot's odometry is too long or too short, as a wrong "
         "baseline makes it; found where loops call for one; 0: lengths are taken as they are",
+    )
+    heading_sigma_deg: float = Field(
+        default=0.0, ge=0, le=0.1, description="beside length_sigma: 1 sigma of an even turn of odometry, degrees/m"
     )
 
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ..components import first_of_parts
 from ..geometry import Array, Sim3, se3_inverse, skew
 from ..pose_graph.graph import Edge, NodeId
-from .lengths import steps_of
 from .linear import BlockSystem
+from .odometry_steps import steps_of
 from .similarity_edges import SimilarityEdges, edges_of
 
 SPANS = (1, 10, 50)

@@ -19,7 +19,7 @@ from ..pose_graph.graph import PoseGraph, Prior
 from .chordal import two_stage_poses
 from .costs import cost, frobenius_weights
 from .gtsam_adapter import levenberg_marquardt
-from .odometry import lengthened, odometry_lengths
+from .odometry import corrected, odometry_corrections
 from .origin import OriginPriors, origin_of, with_origin
 from .similarity_edges import edges_of
 from .trust_region import anchors, named_parts, newton
@@ -32,8 +32,8 @@ class OptimisationResult:
     """The optimised graph; costs in the convention that was asked for; ``iterations`` of the non-linear solver.
 
     Where nothing better was found, ``graph`` is the one that came in and ``improved`` is False. ``lengths``: what
-    odometry of these robots was found to have to be multiplied by (costs are with that); none where lengths were not
-    asked for or are right.
+    odometry of these robots was found to have to be multiplied by, ``turns`` ``(3,)``: by how much more it is to turn,
+    rad/m (costs are with both); none where they were not asked for or are right.
     """
 
     graph: PoseGraph
@@ -42,6 +42,7 @@ class OptimisationResult:
     iterations: int
     improved: bool
     lengths: Mapping[int, float] = field(default_factory=dict)
+    turns: Mapping[int, Array] = field(default_factory=dict)
 
 
 def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
@@ -50,8 +51,10 @@ def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
     Fixed nodes keep their poses; in each connected part without any the first one does, unless priors determine the
     part's place.
     """
+    if config.heading_sigma_deg > 0 and config.length_sigma <= 0:
+        raise BackendError("headings as unknowns (heading_sigma_deg) are found beside lengths: set length_sigma too")
     if config.length_sigma > 0:
-        return _with_lengths(graph, config)
+        return _with_corrections(graph, config)
     if any(p.bound is not None or p.lever.any() for p in graph.priors):
         return _with_positions(graph, config)
     before = cost(graph, config.cost)
@@ -68,21 +71,22 @@ def optimise(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
     return OptimisationResult(solved, before, after, iterations, True)
 
 
-def _with_lengths(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
-    """With the lengths of odometry among the unknowns: found by F (U), then taken as known. Priors tell more of lengths
-    than loops do: where there are any, lengths stay."""
-    known = replaced(config, length_sigma=0.0)
+def _with_corrections(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:
+    """With the lengths and headings of odometry among the unknowns: found by F (U), then taken as known. Priors tell
+    more of these than loops do: where there are any, they stay."""
+    known = replaced(config, length_sigma=0.0, heading_sigma_deg=0.0)
     plain = optimise(graph, known)
     if graph.priors or not graph.edges:
         return plain
-    found = odometry_lengths(polished(plain.graph, config.cost == "U")[0], config.length_sigma, config.cost == "U")
-    if not found.factors:
+    unit, turning = config.cost == "U", float(np.radians(config.heading_sigma_deg))
+    found = odometry_corrections(polished(plain.graph, unit)[0], config.length_sigma, turning, unit)
+    if not found.factors and not found.rates:
         return plain
-    stretched = lengthened(graph, found.factors)
-    solved, iterations = _descend(stretched.with_poses(found.poses), known)
-    before, after = cost(stretched, config.cost), cost(solved, config.cost)
+    better = corrected(graph, found.factors, found.rates)
+    solved, iterations = _descend(better.with_poses(found.poses), known)
+    before, after = cost(better, config.cost), cost(solved, config.cost)
     result = graph.with_poses(solved.poses)
-    return OptimisationResult(result, before, after, plain.iterations + iterations, True, dict(found.factors))
+    return OptimisationResult(result, before, after, plain.iterations + iterations, True, found.factors, found.rates)
 
 
 def _with_positions(graph: PoseGraph, config: CentralConfig) -> OptimisationResult:

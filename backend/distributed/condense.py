@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..central.lengths import steps_of
 from ..central.minimum import minimum, near_minimum
+from ..central.odometry_steps import steps_of
 from ..central.origin import OriginPriors
 from ..central.similarity_edges import SimilarityEdges, edges_of
 from ..components import first_of_parts, parts
@@ -63,11 +63,11 @@ class OwnGraph:
         self.edges = edges_of(own, ends, share.dimension)
         self.priors = OriginPriors.of(share.priors, share.dimension)
         numbers = np.where(self.fixed, 0, -1)
-        self.steps = steps_of(ends, numbers, 1, share.length_sigma if self.fixed.all() else 0.0)
+        self.steps = steps_of(ends, numbers, 1, share.length_sigma if self.fixed.all() else 0.0, share.heading_sigma)
 
     def cost(self, poses: Array, log_units: Array) -> float:
-        """F over the own edges, of poses ``(n, 4, 4)`` and log units ``(n,)`` of all own nodes; with the length of
-        odometry that suits them best, where it is unknown."""
+        """F over the own edges, of poses ``(n, 4, 4)`` and log units ``(n,)`` of all own nodes; with the length
+        and the turn of odometry that suit them best, where they are unknown."""
         if self.steps.count:
             return self.steps.cost(self.edges, poses, log_units)
         return float(self.edges.costs(poses, log_units).sum())
@@ -80,6 +80,10 @@ class OwnGraph:
     def length(self, poses: Array, log_units: Array) -> float:
         """What odometry's lengths are to be multiplied by to suit these poses best; 1 where lengths are known."""
         return float(self.steps.factors(self.edges, poses, log_units)[0]) if self.steps.count else 1.0
+
+    def turn(self, poses: Array) -> Array:
+        """By how much more ``(3,)`` odometry is to turn to suit these poses best, rad/m; 0 where headings are known."""
+        return self.steps.rates(self.edges, poses)[0] if self.steps.count else np.zeros(3)
 
     def known(self, nodes: Sequence[NodeId]) -> Known:
         """Where these own nodes are now."""
@@ -208,13 +212,13 @@ class OwnGraph:
         return found.poses, found.log_units, reached
 
     def _as_long_as(self, known: Known) -> SimilarityEdges:
-        """The own edges, odometry with the length that it has between ``known`` nodes."""
+        """The own edges, odometry with the length and turn that it has between ``known`` nodes."""
         if not self.steps.count:
             return self.edges
         placed = np.full_like(self.poses, np.nan)
         for n, T in known.poses.items():
             placed[self.row[n]] = T
-        return self.steps.stretched(self.edges, self.steps.factors(self.edges, placed, self.log_units))
+        return self.steps.fitting(self.edges, placed, self.log_units)
 
 
 def freedom_of(ends: NDArray[np.intp], fixed: NDArray[np.bool_], held: Sequence[int]) -> int:

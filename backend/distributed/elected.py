@@ -31,7 +31,7 @@ from .solution import decode_solution, encode_solution
 
 _COST = struct.Struct("<d")
 _DECISION = struct.Struct("<?ddHB")
-_POSITIONS, _LENGTHS = 1, 2
+_POSITIONS, _LENGTHS, _HEADINGS = 1, 2, 4
 """In the last byte of a decision: what had a say, or was found."""
 NO_SURE_GAIN = "no gain beyond the rounding of what is sent"
 """Begins the reason of a result that is not taken although its cost seems lower: poses stay as good as they were."""
@@ -147,11 +147,11 @@ class ElectedNode(ElectedTerms):
         missing = self._coarse | (set(self._members()) - set(self._contributions))
         if self._gathered is not None or missing:
             return []
-        me = self.share.robot
+        me, own_units = self.share.robot, self.share.arbitrary_scale
         given = {r: self._contributions[r] for r in self._members()}
-        found = solve(self._believed(given), self.share.arbitrary_scale, self.share.length_sigma)
+        found = solve(self._believed(given), own_units, self.share.length_sigma, self.share.heading_sigma)
         rounded = sum(rounding_cost(c) for r, c in given.items() if r != me)
-        gain, doubt = expected_gain(list(given.values()), found, set(given) <= self.share.arbitrary_scale)
+        gain, doubt = expected_gain(list(given.values()), found, set(given) <= own_units)
         # Whether there is a gain, which rounding may hide when it is weighed.
         hidden = _NO_GAIN * found.total < gain < 2.0 * doubt + rounded
         coarse = rounded > self._config.elected_rounding * found.cost
@@ -234,24 +234,24 @@ class ElectedNode(ElectedTerms):
 
     def _try_decide(self) -> list[ElectedMessage]:
         """As the elected robot: once every member has sent the present cost of its own edges."""
-        if self._gathered is None or any(r not in self._costs for r in self._members()):
+        found = self._gathered
+        if found is None or any(r not in self._costs for r in self._members()):
             return []
         given = [self._contributions[r] for r in self._members()]
         start = Known()
         for c in given:
             start = start.also(c.start)
         free_unit = set(self._members()) <= self.share.arbitrary_scale
-        priors = self._gathered.priors
-        outside, doubt = cost_between(self._gathered.between, start)
-        before = sum(c.cost for c in given) + outside + cost_of_priors(priors, start, free_unit)
-        outside, more_doubt = cost_between(self._gathered.between, start.also(self._known))
+        outside, doubt = cost_between(found.between, start)
+        before = sum(c.cost for c in given) + outside + cost_of_priors(found.priors, start, free_unit)
+        outside, more_doubt = cost_between(found.between, start.also(self._known))
         after = sum(self._costs[r] for r in self._members()) + outside
-        after += cost_of_priors(priors, start.also(self._known), free_unit)
+        after += cost_of_priors(found.priors, start.also(self._known), free_unit)
         accepted = after + doubt + more_doubt <= before
-        flags = _POSITIONS * bool(len(priors)) | _LENGTHS * self._gathered.lengths
-        body = _DECISION.pack(accepted, before, after, min(self._gathered.iterations, 0xFFFF), flags)
+        flags = _POSITIONS * bool(len(found.priors)) | _LENGTHS * found.lengths | _HEADINGS * found.headings
+        body = _DECISION.pack(accepted, before, after, min(found.iterations, 0xFFFF), flags)
         out = self._say(self._to(self._others(), Kind.DECISION, body))
-        self._end(accepted, before, after, self._gathered.iterations, flags)
+        self._end(accepted, before, after, found.iterations, flags)
         return out
 
     def _go_on_without(self) -> list[ElectedMessage]:
@@ -270,9 +270,8 @@ class ElectedNode(ElectedTerms):
         return out
 
     def _end(self, accepted: bool, before: float, after: float, iterations: int, flags: int) -> None:
-        own = self._own
+        own, reason = self._own, "accepted"
         mine = accepted and self._completed is not None
-        reason = "accepted"
         if not accepted:
             what = "the cost would rise"
             if after <= before:
@@ -297,4 +296,5 @@ class ElectedNode(ElectedTerms):
             unreached=tuple(n for k, n in enumerate(own.nodes) if not self._reached[k]),
             positions=bool(flags & _POSITIONS),
             length=own.length(poses, log_units) if mine and flags & _LENGTHS else 1.0,
+            turn=tuple(own.turn(poses).tolist()) if mine and flags & _HEADINGS else (0.0, 0.0, 0.0),
         )

@@ -13,6 +13,7 @@ from ..central.origin import OriginPriors, origin_of
 from ..components import parts
 from ..config import RobustConfig, SolverConfig
 from ..errors import BackendError
+from ..geometry import Array
 from ..pose_graph.graph import EdgeKind, NodeId, PoseGraph
 from ..robust.undecided import Undecided, undecided_edges
 from .envelope import Envelope
@@ -58,7 +59,8 @@ class GroupTraffic:
 class GroupResult:
     """Result of a group of nodes: ``graph`` in one unit of length, that of the anchor's first node, or the metre;
     ``units``: the size of each node's own unit there, 1 for metric robots; ``lengths``: what odometry of these robots
-    was found to have to be multiplied by, none where lengths were not asked for or are right; ``confidence`` of robust
+    was found to have to be multiplied by, ``turns`` ``(3,)``: by how much more it is to turn, rad/m about the axes of a
+    step's end; none where they were not asked for or are right; ``confidence`` of robust
     selection, None: there was none."""
 
     graph: PoseGraph
@@ -66,6 +68,7 @@ class GroupResult:
     traffic: GroupTraffic
     units: Mapping[NodeId, float] = field(default_factory=dict)
     lengths: Mapping[int, float] = field(default_factory=dict)
+    turns: Mapping[int, Array] = field(default_factory=dict)
     confidence: float | None = None
 
     @property
@@ -171,6 +174,7 @@ def optimise_distributed(
     their own, each in the frame of its own anchor. ``arbitrary_scale``: robots whose unit of length is their own."""
     outcomes: dict[int, SolverOutcome] = {}
     traffic = GroupTraffic(0, 0, 0)
+    deviations = config.length_sigma, float(np.radians(config.heading_sigma_deg))
     for group in joined_robots(graph):
         inside = replace(
             graph,
@@ -178,7 +182,7 @@ def optimise_distributed(
             edges=tuple(e for e in graph.edges if e.i.robot in group),
             priors=tuple(p for p in graph.priors if p.node.robot in group),
         )
-        found, more = solve_group(shares(inside, arbitrary_scale & group, config.length_sigma), config)
+        found, more = solve_group(shares(inside, arbitrary_scale & group, *deviations), config)
         outcomes |= found
         traffic = traffic.then(more)
     units = {node: unit for outcome in outcomes.values() for node, unit in outcome.units.items()}
@@ -188,8 +192,9 @@ def optimise_distributed(
         if all(outcomes[robot].accepted for robot in group):
             solved = in_frame_of_priors(solved, units, outcomes, group, group <= arbitrary_scale)
     lengths = {robot: outcome.length for robot, outcome in outcomes.items() if outcome.length != 1.0}
+    turns = {robot: np.array(outcome.turn) for robot, outcome in outcomes.items() if any(outcome.turn)}
     judges = config.robust != "none" and not arbitrary_scale
-    return GroupResult(solved, outcomes, traffic, units, lengths, config.gnc_confidence if judges else None)
+    return GroupResult(solved, outcomes, traffic, units, lengths, turns, config.gnc_confidence if judges else None)
 
 
 def joined_robots(graph: PoseGraph) -> list[frozenset[int]]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..central.lengths import steps_of, with_lengths
+from ..central.headings import with_corrections
 from ..central.minimum import minimum
+from ..central.odometry_steps import steps_of
 from ..central.origin import NO_PRIORS, OriginPriors, origin_of, with_origin
 from ..central.similarity_edges import SimilarityEdges
 from ..components import parts
@@ -26,7 +27,8 @@ class Gathered:
     """The group's solution: ``places`` of the nodes that are joined to the anchor; ``iterations`` of the solver;
     ``between``: edges between members, as each sent them; ``exactness``: how many times finer than the deviations
     stated poses are to be sent; ``cost``: F of the edges, or what counts as none; ``priors``: those that were used;
-    ``lengths``: whether factors of odometry were found; ``total``: F of the contributed edges at ``places``.
+    ``lengths``, ``headings``: whether factors and rates of odometry were found; ``total``: F of the contributed edges
+    at ``places``.
     """
 
     places: Known
@@ -36,6 +38,7 @@ class Gathered:
     cost: float = float("inf")
     priors: OriginPriors = NO_PRIORS
     lengths: bool = False
+    headings: bool = False
     total: float = 0.0
 
     def of(self, nodes: Sequence[NodeId]) -> Known:
@@ -58,11 +61,13 @@ def solve(
     contributions: Mapping[int, Contribution],
     arbitrary_scale: frozenset[int] = frozenset(),
     length_sigma: float = 0.0,
+    heading_sigma: float = 0.0,
 ) -> Gathered:
     """F's optimum over what was contributed; the anchor's first node stays where it is.
 
-    Edges to robots that contributed nothing are left out. ``length_sigma``: of the lengths of metric robots' odometry,
-    which positions measured from outside tell better: where there are such, it is not asked.
+    Edges to robots that contributed nothing are left out. ``length_sigma``, ``heading_sigma``: of the lengths of
+    metric robots' odometry and the rates at which it turns, rad/m, which positions measured from outside tell better:
+    where there are such, they are not asked.
     """
     members = sorted(contributions)
     nodes = [n for robot in members for n in contributions[robot].graph.nodes]
@@ -86,14 +91,13 @@ def solve(
     kept = fixed.copy()
     kept[held] = True
     found = minimum(edges, poses, log_units, sorted(held.tolist()), kept)
-    priors, lengthened = priors_of(contributions, row), False
+    priors, lengthened, turned = priors_of(contributions, row), False, False
     if length_sigma > 0 and not len(priors):
         metric = [robot for robot in members if robot not in arbitrary_scale]
         number = np.array([metric.index(n.robot) if n.robot in metric else -1 for n in nodes], dtype=np.intp)
-        steps = steps_of(edges.ends, number, len(metric), length_sigma)
-        found, lengths = with_lengths(edges, found, sorted(held.tolist()), kept, steps, freedom)
-        lengthened = lengths.used
-        edges = steps.stretched(edges, lengths.factors)
+        steps = steps_of(edges.ends, number, len(metric), length_sigma, heading_sigma)
+        best = with_corrections(edges, found, sorted(held.tolist()), kept, steps, freedom)
+        found, edges, lengthened, turned = best.found, best.edges, best.lengths.used, best.headings.used
     cost = float(edges.costs(found.poses, found.log_units).sum())
     noise = noise_of(cost, freedom)
     # The rounding of all edges adds up, and is compared with what the loops alone cost.
@@ -109,7 +113,7 @@ def solve(
     # Without loops nothing is left of F, and rounding costs nothing.
     cost = max(cost, freedom * noise**2) if freedom > 0 else float("inf")
     used = priors if better is not None else NO_PRIORS
-    return Gathered(places, taken, between, exactness, cost, used, lengthened, total)
+    return Gathered(places, taken, between, exactness, cost, used, lengthened, turned, total)
 
 
 def expected_gain(given: Sequence[Contribution], found: Gathered, free_unit: bool) -> tuple[float, float]:

@@ -51,6 +51,10 @@ def node_for(share: Share, config: SolverConfig) -> SolverNode:
         raise BackendError(
             f"lengths as unknowns (length_sigma) are known to central and elected, not to {config.method}"
         )
+    if share.heading_sigma and not share.length_sigma:
+        raise BackendError("headings as unknowns (heading_sigma_deg) are found beside lengths: set length_sigma too")
+    if share.heading_sigma and config.elected_longest > 1:
+        raise BackendError("headings as unknowns (heading_sigma_deg) need elected_longest 1: turns bend stretches")
     if share.length_sigma and config.robust != "none":
         raise BackendError(f"lengths as unknowns (length_sigma) do not go with robust selection ({config.robust})")
     if share.positions and config.method != "elected":

@@ -24,9 +24,10 @@ class Share:
     ``members`` and ``arbitrary_scale`` are the same for everyone. ``priors``: of its own nodes, in one frame for all
     members, whose place is found; ``positions``: whether any member has priors, the same for everyone; ``held``: priors
     whose frame has its place already, of every member or of none. ``length_sigma``: deviation of the factor by which
-    all odometry of a metric member may be too long or too short, the same for everyone; 0: of none. The elected solver
-    alone knows it. ``believed``: of each edge, whether an earlier run of robust selection believed it, none: it begins
-    with all.
+    all odometry of a metric member may be too long or too short, the same for everyone; 0: of none.
+    ``heading_sigma``: of the rate at which it turns too much, rad/m about each axis, known with lengths only. The
+    elected solver alone knows both. ``believed``: of each edge, whether an earlier run of robust selection believed it,
+    none: it begins with all.
 
     The first node of the :attr:`anchor` keeps its pose and unit: the result is in the frame of its poses. Where priors
     are ``held`` no node is given: these say where all are.
@@ -41,6 +42,7 @@ class Share:
     units: Mapping[NodeId, float] = field(default_factory=dict)
     priors: tuple[Prior, ...] = ()
     length_sigma: float = 0.0
+    heading_sigma: float = 0.0
     positions: bool = False
     held: HeldPriors | None = None
     believed: tuple[bool, ...] = ()
@@ -124,7 +126,8 @@ class SolverOutcome:
     ``unreached``: own nodes that no chain of edges joins to the anchor. ``judged``: every edge of its share that robust
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
     ``positions``: whether priors of members had a say. ``length``: what its odometry's lengths were found to have to be
-    multiplied by. ``capped``: it ended because no more passes are allowed, or
+    multiplied by, ``turn``: by how much more it is to turn, rad/m about each axis. ``capped``: it ended because no more
+    passes are allowed, or
     because they lead nowhere (methods multifrontal, two-level, rbcd).
     """
 
@@ -141,6 +144,7 @@ class SolverOutcome:
     judged: tuple[JudgedEdge, ...] = field(default=(), repr=False)
     positions: bool = False
     length: float = 1.0
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
     capped: bool = False
 
 
@@ -151,7 +155,10 @@ def anchor_of(members: Iterable[int], arbitrary_scale: frozenset[int]) -> int:
 
 
 def shares(
-    graph: PoseGraph, arbitrary_scale: frozenset[int] = frozenset(), length_sigma: float = 0.0
+    graph: PoseGraph,
+    arbitrary_scale: frozenset[int] = frozenset(),
+    length_sigma: float = 0.0,
+    heading_sigma: float = 0.0,
 ) -> dict[int, Share]:
     """Cut a whole graph into its robots' shares, all in one group."""
     members = tuple(graph.robots)
@@ -176,6 +183,7 @@ def shares(
             priors=tuple(priors[robot]),
             positions=bool(graph.priors),
             length_sigma=length_sigma,
+            heading_sigma=heading_sigma,
         )
         for robot in members
     }

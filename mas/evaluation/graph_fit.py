@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from maslam.backend.central.fit import GraphFit, graph_fit
+from maslam.backend.central.odometry import corrected_step
 from maslam.backend.central.odometry_noise import noise_of_odometry
 from maslam.backend.geometry import Sim3
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph
 
 from ..agent import Agent
-from ..state.agent_state import stretched
 from ..state.place_match import Match
 from ..state.pose_graph import match_edge, odometry_edges
 from .ground_truth import groups_of
@@ -31,6 +33,7 @@ def graph_figures(agents: Sequence[Agent]) -> list[GraphFigures]:
             fits=fit.fits,
             worst=[MisfitFigures(ends=[str(m.i), str(m.j)], kind=m.kind.value, cost=m.cost) for m in fit.worst],
             lengths=[agents[i].state.odometry_length for i in group],
+            turns_deg_m=[np.degrees(agents[i].state.odometry_turn).tolist() for i in group],
             odometry_sigmas={str(n): x for n, x in noise_of_odometry(graph.poses, graph.edges, graph.metric).items()},
         )
         for group, graph, fit in fits
@@ -59,14 +62,14 @@ def _fit(graph: GroupGraph) -> GraphFit:
 
 
 def graph_of(agents: Sequence[Agent]) -> GroupGraph:
-    """Of agents in one frame: their placed key-frames as each of them has its own, odometry with the lengths that were
-    found, and accepted matches."""
+    """Of agents in one frame: their placed key-frames as each of them has its own, odometry with the lengths and
+    headings that were found, and accepted matches."""
     poses: dict[NodeId, Sim3] = {}
     edges: list[Edge] = []
     for state in (agent.state for agent in agents):
         poses.update({NodeId(state.me, index): state.pose(index) for index in state.placed()})
         own = [e for p in state.pieces if p.frame == state.frame for e in odometry_edges(state, p.track)]
-        edges += [replace(e, T_i_j=stretched(e.T_i_j, state.odometry_length)) for e in own]
+        edges += [replace(e, T_i_j=corrected_step(e.T_i_j, state.odometry_length, state.odometry_turn)) for e in own]
     edges += [match_edge(match, agents[0].state.config.optimisation) for match in _used(agents)]
     edges = [e for e in edges if e.i in poses and e.j in poses]
     metric = frozenset(agent.state.me for agent in agents if agent.state.profile.metric)

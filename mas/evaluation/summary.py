@@ -130,7 +130,8 @@ class GraphFigures(_Figures):
     """How well the graph of one group of ``agents`` fits in the end: its ``cost`` F (SE-Sync; residuals in standard
     deviations) and degrees of freedom ``dof``, which a cost of mere noise is about; ``fits``: it is not far above;
     ``worst``: the edges with the largest shares. ``lengths``: what each agent's odometry was found to have to be
-    multiplied by, 1 where it stayed as it was. ``odometry_sigmas``: errors of metric agents' odometry over the stated
+    multiplied by, 1 where it stayed as it was; ``turns_deg_m``: by how much more it is to turn about each axis of
+    the camera, degrees a metre. ``odometry_sigmas``: errors of metric agents' odometry over the stated
     standard deviations, by the number of key-frames that they have added up over, as loops and matches tell; empty
     where these tell nothing."""
 
@@ -141,6 +142,7 @@ class GraphFigures(_Figures):
     fits: bool
     worst: list[MisfitFigures]
     lengths: list[float] = []
+    turns_deg_m: list[list[float]] = []
     odometry_sigmas: dict[str, float] = {}
 
 

@@ -116,8 +116,9 @@ class AgentState:
     lengths: dict[int, float] = field(default_factory=dict)
     length_changes: int = 0
     lengths_settled: bool = True
-    # What the last optimisation multiplied all lengths of odometry by.
+    # What the last optimisation multiplied all lengths of odometry by, and by how much more it turned it, rad/m.
     odometry_length: float = 1.0
+    odometry_turn: Array = field(default_factory=lambda: np.zeros(3))
     _agreements: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
     _mine: dict[frozenset[tuple[int, int]], Agreement] = field(default_factory=dict)
 

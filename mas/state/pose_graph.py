@@ -115,6 +115,7 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
         raise UnknownPart(f"a match it does not know: {missing[0]}")
     edges += [match_edge(state.verified[m], state.config.optimisation) for m in task.matches]
     solver = state.config.optimisation.solver
+    known = solver.method == "elected" and solver.robust == "none"
     return Share(
         robot=state.me,
         members=task.members,
@@ -124,7 +125,8 @@ def share_of(state: AgentState, task: OptimiseTask) -> Share:
         arbitrary_scale=frozenset(task.arbitrary),
         priors=tuple(priors),
         positions=task.positions,
-        length_sigma=solver.length_sigma if solver.method == "elected" and solver.robust == "none" else 0.0,
+        length_sigma=solver.length_sigma if known else 0.0,
+        heading_sigma=float(np.radians(solver.heading_sigma_deg)) if known and solver.length_sigma > 0 else 0.0,
     )
 
 
@@ -155,7 +157,8 @@ def adopt(
                 _carry(state, index)
         if outcome.positions and outcome.accepted and state.profile.metric:
             learn_length(state, track)
-    state.odometry_length = outcome.length if outcome.accepted else state.odometry_length
+    if outcome.accepted:
+        state.odometry_length, state.odometry_turn = outcome.length, np.array(outcome.turn)
     state.version += 1
     return Adoption(before, frozenset(task.matches), elsewhere)
 

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from maslam.backend.central.costs import cost
 from maslam.backend.central.lengths import with_lengths
-from maslam.backend.central.odometry import freedom, lengthened, metric_edges
+from maslam.backend.central.odometry import corrected, freedom, metric_edges
 from maslam.backend.central.odometry_noise import noise_of_odometry
 from maslam.backend.central.optimise import optimise
 from maslam.backend.central.similarity_edges import Descended
@@ -33,7 +33,7 @@ def biased(seed=0, lengths=LENGTHS, **kwargs):
     """Four robots on crossing circles; odometry too short by their ``lengths``; the true poses."""
     given = {"sigma_t": 0.01, "sigma_deg": 0.02, "separators": 6, **kwargs}
     graph, truth = loops(np.random.default_rng(seed), **given)
-    return lengthened(graph, {robot: 1.0 / length for robot, length in lengths.items()}), truth
+    return corrected(graph, {robot: 1.0 / length for robot, length in lengths.items()}), truth
 
 
 def error(poses, truth):
@@ -87,7 +87,7 @@ def test_the_result_is_the_minimum_over_factors_and_poses() -> None:
 
     def joint(apart):
         factors = 1.0 + np.array([*apart, -sum(apart)])
-        stretched = lengthened(graph, dict(enumerate(factors)))
+        stretched = corrected(graph, dict(enumerate(factors)))
         best = optimise(stretched.with_poses(found.graph.poses), CentralConfig(start="given"))
         return best.cost_after + float((((factors - 1.0) / SIGMA) ** 2).sum())
 
@@ -128,7 +128,7 @@ def test_the_evidence_is_the_marginal_likelihood() -> None:
     axis = np.linspace(-0.03, 0.03, 13)
     total = 0.0
     for x in axis:
-        stretched = lengthened(solved, {0: 1.0 + x / np.sqrt(2.0), 1: 1.0 - x / np.sqrt(2.0)})
+        stretched = corrected(solved, {0: 1.0 + x / np.sqrt(2.0), 1: 1.0 - x / np.sqrt(2.0)})
         fallen = cost(solved, "F") - optimise(stretched, CentralConfig(start="given")).cost_after
         total += np.exp(0.5 * fallen - 0.5 * x**2 / SIGMA**2)
     integral = total * (axis[1] - axis[0]) / np.sqrt(2.0 * np.pi * SIGMA**2)

@@ -9,7 +9,7 @@ from graphs import loops
 
 import maslam
 from maslam.backend.central.costs import cost
-from maslam.backend.central.odometry import lengthened
+from maslam.backend.central.odometry import corrected
 from maslam.backend.geometry import se3_exp, se3_log
 from maslam.backend.pose_graph.g2o import read_g2o, write_g2o
 from maslam.tools import cli
@@ -299,7 +299,7 @@ def test_a_single_robot_has_no_matches_to_come(tmp_path, capsys):
 def test_lengths_of_odometry_are_found_where_they_are_asked_for(tmp_path, capsys):
     """Not without the option; with it the written edges carry the lengths, so that they fit the written poses."""
     graph, _ = loops(np.random.default_rng(0), sigma_t=0.01, sigma_deg=0.02, separators=6)
-    off = lengthened(graph, {0: 1 / 1.02, 1: 1 / 0.985, 2: 1 / 1.01, 3: 1 / 0.99})
+    off = corrected(graph, {0: 1 / 1.02, 1: 1 / 0.985, 2: 1 / 1.01, 3: 1 / 0.99})
     write_g2o(tmp_path / "in.g2o", off)
     costs = {}
     for name, words in {

@@ -11,6 +11,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..common.errors import ToolError, UsageError
 from ..common.options import DEST, add_model_options, leaves, option_name
 from ..common.parser import at_least_one
@@ -167,7 +169,7 @@ def optimise_graph(
     """Run the method that ``arguments`` name; returns the graph with its own information, in one unit of length, the
     report, and the poses' units where they were found. ``notes`` of the reading go into the report."""
     from maslam.backend.central.graph_report import report as look_at
-    from maslam.backend.central.odometry import lengthened
+    from maslam.backend.central.odometry import corrected
     from maslam.backend.pose_graph.fixed import laid_on_fixed, not_held
     from maslam.backend.pose_graph.node import robot_name
 
@@ -189,8 +191,8 @@ def optimise_graph(
         found = replace(found, poses=laid_on_fixed(graph, found.poses))
     seconds = time.perf_counter() - start
     solved = graph.in_one_unit(found.poses, found.units) if found.units else graph.with_poses(found.poses)
-    if found.lengths:
-        solved = lengthened(solved, found.lengths)
+    if found.lengths or found.turns:
+        solved = corrected(solved, found.lengths, found.turns)
     apart = frozenset(not_held(graph))  # more than a free graph's optimum can hold: it is no bound
     if not holds:
         solved, apart = replace(solved, fixed=graph.fixed - apart), frozenset()
@@ -232,6 +234,7 @@ def optimise_graph(
         updates=found.updates,
         monocular=sorted(request.monocular),
         lengths={robot_name(robot): found.lengths[robot] for robot in sorted(found.lengths)},
+        turns_deg_m={robot_name(r): np.degrees(found.turns[r]).tolist() for r in sorted(found.turns)},
         units={"smallest": min(sizes), "largest": max(sizes)} if sizes else None,
     )
     if not all(map(math.isfinite, report.cost.values())):

@@ -58,7 +58,7 @@ class Request:
 class Solution:
     """``weights`` ``(m,)``: of the edges, 0 where rejected; ``rejected``: records of those; ``units``: of the nodes, in
     the common one, where they were variables; ``updates``: of matches one by one, what these cost; ``lengths``: what
-    odometry of these robots is to be multiplied by."""
+    odometry of these robots is to be multiplied by; ``turns`` ``(3,)``: by how much more it is to turn, rad/m."""
 
     poses: Mapping[NodeId, Array]
     weights: Array
@@ -73,6 +73,7 @@ class Solution:
     unreached_poses: int = 0
     units: Mapping[NodeId, float] = field(default_factory=dict)
     lengths: Mapping[int, float] = field(default_factory=dict)
+    turns: Mapping[int, Array] = field(default_factory=dict)
     refused: str | None = None
     cost_before: float | None = None
     capped: bool = False
@@ -123,6 +124,9 @@ def solve(graph: PoseGraph, request: Request, tick: Callable[[int, int], None] =
     check(request.method, request.robust, bool(request.monocular), request.link is not None)
     if graph.priors and request.method != CENTRAL:
         check_priors(request.method)
+    for name, config in (("central", request.central), ("solver", request.solver)):
+        if config.heading_sigma_deg > 0 and config.length_sigma <= 0:
+            raise UsageError(f"--{name}.heading-sigma-deg is found beside lengths: give --{name}.length-sigma too")
     if request.central.length_sigma > 0 and (request.method != CENTRAL or request.monocular):
         raise UsageError(
             "--central.length-sigma works with --method central without --monocular; --solver.length-sigma with elected"
@@ -175,7 +179,9 @@ def _central(graph: PoseGraph, request: Request) -> Solution:
         return Solution(found.graph.poses, found.weights, rejected, config.cost, found.iterations)
     result = optimise(graph, config)
     weights = np.ones(len(graph.edges))
-    return Solution(result.graph.poses, weights, [], config.cost, result.iterations, lengths=result.lengths)
+    return Solution(
+        result.graph.poses, weights, [], config.cost, result.iterations, lengths=result.lengths, turns=result.turns
+    )
 
 
 def _with_units(graph: PoseGraph, request: Request) -> Solution:
@@ -279,6 +285,7 @@ def _distributed(graph: PoseGraph, request: Request) -> Solution:
         unreached_poses=sum(len(o.unreached) for o in outcomes),
         units=result.units if request.monocular else {},
         lengths=result.lengths,
+        turns=result.turns,
         refused=_refused(result.outcomes),
         capped=any(o.capped for o in outcomes),
         cost_before=_largest([o.cost_before for o in outcomes]),

@@ -21,7 +21,8 @@ class PgoReport:
     ones contradict (:mod:`maslam.tools.pgo.undecided`). ``warnings``: irregularities of the graph.
     ``monocular``: robots whose units of length were estimated, one for each pose; ``units``: the smallest and largest
     of them in the common one, which the graph is written in; None where there are none. ``lengths``: what robots'
-    odometry was found to have to be multiplied by, which the edges are written with. ``refused``: why robots kept
+    odometry was found to have to be multiplied by, ``turns_deg_m``: by how much more it is to turn
+    about each axis, degrees a metre; the edges are written with both. ``refused``: why robots kept
     their poses as they were, None where all took the result. ``files``: those that were read; ``settings``: what the
     command line asked for, by name.
     ``updates``: of matches one by one, what each cost (:mod:`maslam.tools.pgo.updates`); None where all came at once.
@@ -53,6 +54,7 @@ class PgoReport:
     monocular: list[int] = field(default_factory=list)
     units: dict[str, float] | None = None
     lengths: dict[str, float] = field(default_factory=dict)
+    turns_deg_m: dict[str, list[float]] = field(default_factory=dict)
     refused: str | None = None
     files: list[str] = field(default_factory=list)
     settings: dict[str, object] = field(default_factory=dict)
@@ -74,6 +76,9 @@ class PgoReport:
         if self.lengths:
             each = ", ".join(f"robot {robot} x {factor:.4f}" for robot, factor in self.lengths.items())
             out.append(f"  odometry's lengths are off, and are written corrected: {each}")
+        if self.turns_deg_m:
+            rates = (f"robot {r} by {' '.join(f'{x:+.4f}' for x in turn)}" for r, turn in self.turns_deg_m.items())
+            out.append(f"  odometry turns evenly, and is written corrected, degrees a metre: {', '.join(rates)}")
         if self.robust != "none" and self.robust not in ("huber", "cauchy"):
             out.append(f"  {self.rejected_edges} edges rejected by {self.robust}; --json lists them")
             out += undecided_lines(self.undecided)

@@ -39,6 +39,10 @@ def _odometry(graph: Mapping[str, Any]) -> list[str]:
     if any(length != 1.0 for length in lengths):
         off = ", ".join(f"{100 * (1 / length - 1):+.2f} %" for length in lengths)
         out.append(f"  lengths      off by {off} (mended; what is common to all stays unknown)")
+    turns = graph.get("turns_deg_m") or []
+    if any(any(turn) for turn in turns):
+        off = ", ".join(" ".join(f"{-x:+.4f}" for x in turn) for turn in turns)
+        out.append(f"  headings     off by {off} degrees a metre about the camera's x, y, z (mended)")
     return out
 
 

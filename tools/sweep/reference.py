@@ -183,7 +183,15 @@ def _solve(states: Sequence[AgentState], accepted: Sequence[Match]) -> None:
     found: dict[NodeId, Sim3] = {}
     if len(metric) == len(states):
         # One that no other match agrees with is left out already; the loss is for what agrees by chance.
-        solved = optimise(graph, CentralConfig(cost="E", loss="cauchy", length_sigma=weights.solver.length_sigma)).graph
+        solved = optimise(
+            graph,
+            CentralConfig(
+                cost="E",
+                loss="cauchy",
+                length_sigma=weights.solver.length_sigma,
+                heading_sigma_deg=weights.solver.heading_sigma_deg,
+            ),
+        ).graph
         found = {n: Sim3.from_se3(T) for n, T in solved.poses.items()}
     else:
         found = dict(optimise_similarity(graph, SimilarityConfig(), metric).poses)

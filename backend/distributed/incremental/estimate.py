@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...central.lengths import steps_of, with_lengths
+from ...central.headings import with_corrections
 from ...central.minimum import minimum
+from ...central.odometry_steps import steps_of
 from ...central.similarity_edges import Descended, SimilarityEdges
 from ...errors import BackendError
 from ...geometry import Array
@@ -55,12 +56,12 @@ class GroupEstimate:
 
     def __init__(self, share: Share, settled: Settled, careful: bool = False) -> None:
         """``share``: the elected robot's. ``careful``: an edge between two robots counts once both have named it, and
-        new edges must be believable. No update knows lengths of odometry: where edges call for them, it is not
-        taken."""
+        new edges must be believable. No update knows lengths or headings of odometry: where edges call for
+        them, it is not taken."""
         contributions, places = settled.contributions, settled.places
         self.graph = EstimatedGraph(contributions, places, share.anchor, share.arbitrary_scale, careful)
         self._leader, self._scaled, self._careful = share.robot, share.scaled, careful
-        self._length_sigma = share.length_sigma
+        self._length_sigma, self._heading_sigma = share.length_sigma, share.heading_sigma
         self._metric = sorted(set(contributions) - share.arbitrary_scale)
         self._known = {robot: Known() for robot in contributions}
         for n, T in places.poses.items():
@@ -84,8 +85,8 @@ class GroupEstimate:
         freedom = freedom_of(edges.ends, g.fixed[joined], [0])
         if self._careful:
             self._believe(optimum, freedom)
-        if self._length_sigma > 0 and self._lengths_are_off(best, log_units, joined, freedom):
-            raise BackendError("matches call for other lengths of odometry")
+        if self._length_sigma > 0 and self._odometry_is_off(best, log_units, joined, freedom):
+            raise BackendError("matches call for other lengths or headings of odometry")
         allowed = share * max(optimum, noise_of(0.0, freedom) ** 2 * max(freedom, 1))
         # What has no place yet is sent in any case.
         now, now_units = g.poses.copy(), g.log_units.copy()
@@ -117,8 +118,8 @@ class GroupEstimate:
             )
         self._before = optimum, freedom
 
-    def _lengths_are_off(self, best: Array, log_units: Array, joined: NDArray[np.bool_], freedom: int) -> bool:
-        """Whether a whole solution would find that odometry is too long or too short."""
+    def _odometry_is_off(self, best: Array, log_units: Array, joined: NDArray[np.bool_], freedom: int) -> bool:
+        """Whether a whole solution would find that odometry is too long or too short, or turns too much."""
         g = self.graph
         order = sorted(range(len(g.nodes)), key=lambda k: g.nodes[k])
         rank = np.argsort(order)
@@ -127,9 +128,10 @@ class GroupEstimate:
         kept[held] = True
         number = {robot: k for k, robot in enumerate(self._metric)}
         robots = np.array([number.get(g.nodes[k].robot, -1) for k in order], dtype=np.intp)
-        steps = steps_of(edges.ends, robots, len(self._metric), self._length_sigma)
+        steps = steps_of(edges.ends, robots, len(self._metric), self._length_sigma, self._heading_sigma)
         found = Descended(best[order], log_units[order], 0)
-        return with_lengths(edges, found, np.flatnonzero(held[order]).tolist(), kept[order], steps, freedom)[1].used
+        best_of = with_corrections(edges, found, np.flatnonzero(held[order]).tolist(), kept[order], steps, freedom)
+        return best_of.lengths.used or best_of.headings.used
 
     def _own_cost(self, robot: int) -> float:
         """F over a robot's own edges as it has its poses."""

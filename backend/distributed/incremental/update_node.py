@@ -57,11 +57,13 @@ class UpdateNode:
         self.lost: str | None = None
         self.revision = self.solved = 0
         self.optimum = self.cost = outcome.cost_after
-        if outcome.length != 1.0:
-            raise BackendError("updates know no lengths of odometry: the group is solved anew for each match")
+        if outcome.length != 1.0 or any(outcome.turn):
+            raise BackendError(
+                "updates know no lengths or headings of odometry: the group is solved anew for each match"
+            )
         if share.robot == settled.leader and set(settled.contributions) != set(share.members):
             raise BackendError("updates need all members, and some were left out")
-        self._share = replace(share, poses=outcome.poses, units=outcome.units, length_sigma=0.0)
+        self._share = replace(share, poses=outcome.poses, units=outcome.units, length_sigma=0.0, heading_sigma=0.0)
         self._config, self._careful = config, careful
         self._own = OwnGraph(self._share)
         self._fineness = config.elected_fineness * self._own.exactness()
