@@ -195,3 +195,13 @@ def test_another_agents_knowledge_is_refused(runs: Runs) -> None:
     agent = make_agents(earlier.manifest, earlier.sequences, preset(runs.first.preset))[0]
     with pytest.raises(MasError, match="agent 1 with 30 key-frames, its sequence has 30"):
         restore(agent, keyframes_of(earlier.sequences[0]), earlier.known[1], "it")
+
+
+def test_the_earlier_run_is_not_written_over(runs: Runs, capsys: pytest.CaptureFixture[str]) -> None:
+    from maslam.tools import cli
+
+    before = (runs.one / "summary.json").read_bytes()
+    words = ["run", str(runs.two / "sequences"), str(runs.one), "--onto", str(runs.one), "--overwrite", "--quiet"]
+    assert cli.main(words) == 2
+    assert "is the folder for the results; choose another one" in capsys.readouterr().err
+    assert (runs.one / "summary.json").read_bytes() == before

@@ -7,6 +7,7 @@ results in files. Nothing of this process's folder is shipped, so compiled kerne
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -15,6 +16,7 @@ from .errors import ToolError
 from .parallel import Job, JobOutcome, Result, guarded, one_thread_each
 from .progress import Progress
 
+_REACHED_S = 5.0
 INSTALL = "--ray needs the package ray: pip install 'maslam[ray]'"
 
 
@@ -57,6 +59,7 @@ def _connected(address: str) -> Iterator[Any]:
     if ray.is_initialized():
         yield ray
         return
+    _check_reached(address)
     try:
         ray.init(address=address or None, log_to_driver=False, include_dashboard=False)
     except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
@@ -65,6 +68,17 @@ def _connected(address: str) -> Iterator[Any]:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _check_reached(address: str) -> None:
+    """Ray itself tries for minutes where nobody listens."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _REACHED_S).close()
+    except OSError as error:
+        raise ToolError(f"--ray {address}: no Ray cluster there: {_lines(error)[0]}") from error
 
 
 def _outcome(ray: Any, reference: Any) -> JobOutcome[Any]:
