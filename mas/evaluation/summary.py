@@ -6,6 +6,7 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from ..sequence import LeftOutEntry, LostEntry, MissingEntry
 from .load_figures import LoadFigures
+from .undecided_figures import UndecidedFigures
 
 
 class _Figures(BaseModel):
@@ -107,13 +108,15 @@ class MatchFigures(_Figures):
 
 class OptimisationFigures(_Figures):
     """Sums over all optimisations of the run; no single one ends with a higher cost than it began. ``updates``: how
-    often what one had solved was solved again with matches that came later, instead of another optimisation."""
+    often what one had solved was solved again with matches that came later, instead of another optimisation.
+    ``undecided``: what robust selection by elected agents left open in the last optimisations."""
 
     count: int
     updates: int = 0
     iterations: int
     cost_before: float
     cost_after: float
+    undecided: list[UndecidedFigures] = []
 
 
 class MisfitFigures(_Figures):
