@@ -231,9 +231,10 @@ class ReputationFigures(_Figures):
 
 class FaultFigures(_Figures):
     """Faults made on purpose, and what the agents did about them: ``repeated``: messages of contracts and of solvers
-    that were sent again."""
+    that were sent again; ``lost_bytes``: wire bytes of those lost, which the traffic counts as sent."""
 
     lost: int
+    lost_bytes: int = 0
     doubled: int
     repeated: int
 
