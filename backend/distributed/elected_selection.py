@@ -1,13 +1,14 @@
 """Robust selection at the elected robot: it has the group's graph, so central selection decides, and verdicts go back.
 
 With the solution each member gets a number for each of its loops and separators: the residual, with a negative sign
-where the edge is rejected. What is rejected takes no part, and counts in the costs as it stood before.
+where the edge is rejected. What is rejected takes no part, and counts in the costs as it stood before. What nothing in
+the graph decides stands in the elected robot's own outcome.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from ..robust.gnc import squared_residuals
 from ..robust.select import optimise_robustly
 from .contribution import Contribution
 from .elected import ElectedNode
-from .share import JudgedEdge, Share
+from .share import JudgedEdge, Share, UndecidedEdges
 
 _VERDICT = "<f4"
 
@@ -44,11 +45,13 @@ class SelectingNode(ElectedNode):
         self._loop_rows = np.searchsorted(own, loops)
         self._verdicts: dict[int, Array] = {}
         self._mine_judged = np.zeros(0)
+        self._undecided: tuple[UndecidedEdges, ...] = ()
 
     def _believed(self, given: Mapping[int, Contribution]) -> Mapping[int, Contribution]:
         dimension, confidence = self.share.dimension, self._config.gnc_confidence
-        believed, self._verdicts = selected(given, dimension, RobustConfig(confidence=confidence))
-        return believed
+        found = selected(given, dimension, RobustConfig(confidence=confidence))
+        self._verdicts, self._undecided = found.verdicts, found.undecided
+        return found.believed
 
     def _to_say(self, robot: int, solution: bytes) -> bytes:
         return self._verdicts[robot].astype(_VERDICT).tobytes() + solution
@@ -80,15 +83,22 @@ class SelectingNode(ElectedNode):
             for k, e in enumerate(self.share.edges)
             if e.kind is not EdgeKind.ODOMETRY
         )
-        self.outcome = replace(self.outcome, judged=judged)
+        undecided = self._undecided if self.leader == self.share.robot else ()
+        self.outcome = replace(self.outcome, judged=judged, undecided=undecided)
 
 
-def selected(
-    given: Mapping[int, Contribution], dimension: int, config: RobustConfig
-) -> tuple[dict[int, Contribution], dict[int, Array]]:
-    """The contributions without what central selection (PCM, then GNC) rejects; and for each member the verdicts on its
-    judged edges: own loops as contributed, then separators by their ends.
-    """
+@dataclass(frozen=True, eq=False)
+class SelectedContributions:
+    """The contributions that are ``believed``; for each member the ``verdicts`` on its judged edges, own loops as
+    contributed, then separators by their ends; what is ``undecided``."""
+
+    believed: dict[int, Contribution]
+    verdicts: dict[int, Array]
+    undecided: tuple[UndecidedEdges, ...]
+
+
+def selected(given: Mapping[int, Contribution], dimension: int, config: RobustConfig) -> SelectedContributions:
+    """The contributions without what central selection (PCM, then GNC) rejects."""
     nodes = [n for c in given.values() for n in c.graph.nodes]
     known, edges = set(nodes), []
     whose: list[tuple[int, bool, int]] = []
@@ -119,7 +129,13 @@ def selected(
         )
         for robot, c in given.items()
     }
-    return believed, {robot: _verdicts_of(robot, edges, signed) for robot in given}
+    verdicts = {robot: _verdicts_of(robot, edges, signed) for robot in given}
+    undecided = (UndecidedEdges(u.robots, _ends(edges, u.kept), _ends(edges, u.rejected)) for u in found.undecided)
+    return SelectedContributions(believed, verdicts, tuple(undecided))
+
+
+def _ends(edges: list[Edge], rows: Iterable[int]) -> tuple[tuple[NodeId, NodeId], ...]:
+    return tuple((edges[k].i, edges[k].j) for k in rows)
 
 
 def _verdicts_of(robot: int, edges: list[Edge], signed: Array) -> Array:

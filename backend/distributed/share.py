@@ -115,6 +115,16 @@ class JudgedEdge:
         return self.weight < 0.5
 
 
+@dataclass(frozen=True)
+class UndecidedEdges:
+    """The ``rejected`` edges, by their nodes, hold where ``robots`` are moved against the rest, and the ``kept`` ones
+    break then: nothing in the group's graph tells which are wrong."""
+
+    robots: tuple[int, ...]
+    kept: tuple[tuple[NodeId, NodeId], ...]
+    rejected: tuple[tuple[NodeId, NodeId], ...]
+
+
 @dataclass(frozen=True, eq=False)
 class SolverOutcome:
     """Result of a node; acceptance, reason and costs are the same at every member, as are sweep counts where all
@@ -127,8 +137,8 @@ class SolverOutcome:
     selection weighed; a rejected one stays in the graph as it was and is judged afresh in the next run.
     ``positions``: whether priors of members had a say. ``length``: what its odometry's lengths were found to have to be
     multiplied by, ``turn``: by how much more it is to turn, rad/m about each axis. ``capped``: it ended because no more
-    passes are allowed, or
-    because they lead nowhere (methods multifrontal, two-level, rbcd).
+    passes are allowed, or because they lead nowhere (methods multifrontal, two-level, rbcd). ``undecided``: what robust
+    selection by an elected robot leaves open, known to that robot alone.
     """
 
     robot: int
@@ -146,6 +156,7 @@ class SolverOutcome:
     length: float = 1.0
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
     capped: bool = False
+    undecided: tuple[UndecidedEdges, ...] = field(default=(), repr=False)
 
 
 def anchor_of(members: Iterable[int], arbitrary_scale: frozenset[int]) -> int:

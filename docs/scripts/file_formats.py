@@ -78,6 +78,8 @@ EVENTS = {
     "peer_to_peer": "a member offers matches with the manager alone: `bidder`",
     "map_bought": "a map copy came in: `seller`, `owner`, `version`, `keyframes`, `new_keyframes`, `points`, `route`",
     "map_checked": "a held copy was compared with place matches: `owner`, `version`, `final`, matches and distances",
+    "undecided": "at the elected agent: the `rejected` matches would hold if `agents` stood elsewhere, and the `kept` "
+    "ones would break: nothing tells which are wrong",
     "optimisation_refused": "a solution was not adopted, as odometry speaks against it: `reason`, `members`, `by` (who "
     "spoilt it, where that is known)",
     "optimisation_left": "a member left an optimisation that got no further, poses as before: `members`, `reason`",

@@ -42,4 +42,6 @@ def fault_figures(agents: Sequence[Agent], transport: Transport) -> FaultFigures
         return None
     solvers = sum(a.optimisation.running.repeated + a.optimisation.running.updates.repeated for a in agents)
     repeated = solvers + sum(a.context.retransmitter.repeated for a in agents)
-    return FaultFigures(lost=transport.lost, doubled=transport.doubled, repeated=repeated)
+    return FaultFigures(
+        lost=transport.lost, lost_bytes=transport.lost_bytes, doubled=transport.doubled, repeated=repeated
+    )

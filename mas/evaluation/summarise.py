@@ -37,6 +37,7 @@ from .summary import (
     TrafficFigures,
 )
 from .truth_fit import truth_figures
+from .undecided_figures import undecided_of
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def summarise(run: FinishedRun, evaluator: GroundTruthEvaluator, errors: dict[Ma
         left_out=list(run.left_out),
         traffic={**traffic, "total": _traffic(list(transport.by_operation.values()))},
         matches=_matches(agents, errors, any(s.groundtruth is not None for s in sequences), transport),
-        optimisations=_optimisations(run.events),
+        optimisations=_optimisations(run.events, agents),
         graphs=graph_figures(agents),
         truths=truth_figures(sequences),
         map_copies=map_copies(agents, [evaluator.copy_errors(a) for a in agents]),
@@ -163,7 +164,7 @@ def _matches(
     )
 
 
-def _optimisations(events: Sequence[Event]) -> OptimisationFigures:
+def _optimisations(events: Sequence[Event], agents: Sequence[Agent]) -> OptimisationFigures:
     in_order = sorted(events, key=lambda e: e.agent)  # sums of floating-point numbers depend on it
     done = [e.fields for e in in_order if e.kind == "optimised"]
     return OptimisationFigures(
@@ -172,6 +173,7 @@ def _optimisations(events: Sequence[Event]) -> OptimisationFigures:
         iterations=sum(d["sweeps"] for d in done),
         cost_before=float(sum(d["cost_before"] for d in done)),
         cost_after=float(sum(d["cost_after"] for d in done)),
+        undecided=undecided_of(agents),
     )
 
 

@@ -7,6 +7,7 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 from ..sequence import LeftOutEntry, LostEntry, MissingEntry
 from .earlier_figures import EarlierFigures
 from .load_figures import LoadFigures
+from .undecided_figures import UndecidedFigures
 
 
 class _Figures(BaseModel):
@@ -108,13 +109,15 @@ class MatchFigures(_Figures):
 
 class OptimisationFigures(_Figures):
     """Sums over all optimisations of the run; no single one ends with a higher cost than it began. ``updates``: how
-    often what one had solved was solved again with matches that came later, instead of another optimisation."""
+    often what one had solved was solved again with matches that came later, instead of another optimisation.
+    ``undecided``: what robust selection by elected agents left open in the last optimisations."""
 
     count: int
     updates: int = 0
     iterations: int
     cost_before: float
     cost_after: float
+    undecided: list[UndecidedFigures] = []
 
 
 class MisfitFigures(_Figures):
@@ -231,9 +234,10 @@ class ReputationFigures(_Figures):
 
 class FaultFigures(_Figures):
     """Faults made on purpose, and what the agents did about them: ``repeated``: messages of contracts and of solvers
-    that were sent again."""
+    that were sent again; ``lost_bytes``: wire bytes of those lost, which the traffic counts as sent."""
 
     lost: int
+    lost_bytes: int = 0
     doubled: int
     repeated: int
 

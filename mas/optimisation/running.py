@@ -25,6 +25,7 @@ from .group_updates import GroupUpdates
 from .own_judgement import CLEARLY_WORSE, judged
 from .session import Backoff, OptimisationSession, SessionHistory
 from .suspicion import Suspicion
+from .undecided import UndecidedMatches, undecided_matches
 
 # How many times as long as a silent contractor is waited for members of an optimisation wait for each other.
 _PATIENCE = 2
@@ -36,7 +37,8 @@ class RunningOptimisation:
     Nobody can be sure that all others have received the last message (two generals). So whoever has not keeps its poses
     where they were: a frame is named for the key-frame it begins with, which no optimisation moves, so that estimates
     of before and after lie in the same one. Its contract ends without a result, and the manager calls again:
-    ``missed`` says that a member has not.
+    ``missed`` says that a member has not. ``undecided``: what the last optimisation left open, where this agent was
+    elected.
     """
 
     def __init__(self, context: AgentContext) -> None:
@@ -50,6 +52,7 @@ class RunningOptimisation:
         self.suspicion = Suspicion(context.state.me)
         self.estimator = BidEstimator(context)
         self.updates = GroupUpdates(context)
+        self.undecided: tuple[UndecidedMatches, ...] = ()
 
     def solver(self, session: OptimisationSession, message: SolverMessage) -> Effects:
         """A solver message of another member of the present session."""
@@ -184,6 +187,12 @@ class RunningOptimisation:
         figures = {"reason": CLEARLY_WORSE, "members": list(members), "by": suspect}
         return mine, self._held_against(suspect) + self.context.event("optimisation_refused", **figures)
 
+    def _left_open(self, outcome: SolverOutcome) -> Effects:
+        """Say what selection did not decide: nobody else knows it."""
+        self.undecided = undecided_matches(outcome)
+        said = ((list(u.agents), [str(m) for m in u.kept], [str(m) for m in u.rejected]) for u in self.undecided)
+        return total(self.context.event("undecided", agents=a, kept=k, rejected=r) for a, k, r in said)
+
     def _manager(self, session: OptimisationSession) -> int:
         return self.context.state.me if session.contract is None else session.contract.manager
 
@@ -207,7 +216,7 @@ class RunningOptimisation:
         self.estimator.ended(session)
         adopted = adopt(self.context.state, session.task, outcome, session.elsewhere)
         good = outcome.reason != CLEARLY_WORSE
-        effects += Effects(changes=(replace(adopted, borne_out=good),))
+        effects += Effects(changes=(replace(adopted, borne_out=good),)) + self._left_open(outcome)
         effects += (self.updates.begin(session, outcome) if good else NOTHING) + self.idle()
         if session.contract is None:
             return effects + self.context.event("optimised", **session.figures(outcome))

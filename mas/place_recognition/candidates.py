@@ -128,10 +128,9 @@ class Candidates:
         """A candidate that was skipped is to be verified after all."""
         self.by_id[candidate.id] = replace(candidate, check=MatchCheck())
 
-    def still_wanted(self, match: MatchId, now_ns: int) -> bool:
-        """Whether a candidate that waited for some time is worth its verification by now. If not, its reason says
-        why."""
-        reason = self._why_not(match) if now_ns > self.by_id[match].now_ns else None
+    def still_wanted(self, match: MatchId) -> bool:
+        """Whether a candidate that waited is worth its verification by now. If not, its reason says why."""
+        reason = self._why_not(match)
         if reason is not None and reason is not SkipReason.KNOWN:
             self.by_id[match] = replace(self.by_id[match], check=MatchCheck(reason=reason))
             return False
@@ -209,14 +208,11 @@ class Candidates:
         recent = [q for q in self.verified.get(match.match_agent, []) if abs(match.query - q) <= gap]
         if len(recent) > self.state.config.consistency.min_support:
             return SkipReason.CLOSE_TO_VERIFIED
-        if match.query in self.recalled:
-            near = (self._near(match.query, k, config.gap_keyframes) for k in self._matched_with(match.match_agent))
-            return SkipReason.CLOSE_TO_ACCEPTED if any(near) else None
-        last = self.last_matched.get(match.match_agent)
-        if last is None or match.query < last:
-            return None
-        close = self._near(match.query, last, self.gaps[match.match_agent])
-        return SkipReason.CLOSE_TO_ACCEPTED if close else None
+        # What is asked late comes between matches that are there: not only the last one may be near.
+        late = match.query in self.recalled
+        beside = config.gap_keyframes if late else self.gaps.get(match.match_agent, config.gap_keyframes)
+        near = any(self._near(match.query, k, beside) for k in self._matched_with(match.match_agent))
+        return SkipReason.CLOSE_TO_ACCEPTED if near else None
 
     def _near(self, one: int, other: int, gap: int) -> bool:
         """Whether two own key-frames are within ``gap`` of each other, or within ``gap_m``."""

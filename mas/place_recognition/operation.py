@@ -229,10 +229,11 @@ class PlaceRecognition(Operation[PlaceQuery, Found]):
         return effects
 
     def _ends_due(self, ticks: int) -> list[Candidate]:
-        """Skipped candidates at the ends of shared stretches that are worth a verification so long after the end."""
+        """Skipped candidates at the ends of shared stretches that are worth a verification so long after the end. One
+        after the other: what comes of one says whether the next is worth it."""
         if not self.context.closing or not self.state.config.places.closing_ends:
             return []
-        due = self.ends.due(ticks)
+        due = [c for c in self.ends.due(ticks) if not self.verification.busy_with(c.id.match_agent)]
         return [c for c in due if self.context.may_call(c.id.match_agent, OperationKind.RELPOSE)]
 
     @property

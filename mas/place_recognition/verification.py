@@ -71,6 +71,10 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         self._waiting.setdefault(candidate.id.match_agent, deque()).append(candidate.id)
         return self._next(candidate.id.match_agent)
 
+    def busy_with(self, other: int) -> bool:
+        """Whether a candidate waits for its verification by the other, or for the answer."""
+        return bool(self._waiting.get(other)) or any(m.match_agent == other for m in self._running.values())
+
     def on_bid(self, contract: Contract, bid: Bid) -> Effects:
         match = self._running.get(contract.id)
         if match is None:
@@ -145,9 +149,8 @@ class Verification(Operation[VerifyTask, VerifyAnswer]):
         if not waiting or not self.context.may_call(other):
             return NOTHING
         # What was learned meanwhile may have answered it.
-        now_ns = self.context.now_ns
         sure = self._promising | self._insisted
-        while waiting and waiting[0] not in sure and not self.candidates.still_wanted(waiting[0], now_ns):
+        while waiting and waiting[0] not in sure and not self.candidates.still_wanted(waiting[0]):
             waiting.popleft()
         if not waiting:
             return NOTHING

@@ -30,7 +30,8 @@ class _HeldMessage:
 
 class FaultyTransport(Transport):
     """Any transport, made worse. What is sent counts as sent, whether it arrives or not. ``lost``, ``doubled``: how
-    many messages that befell; those from and to agents that are not there are lost too."""
+    many messages that befell; those from and to agents that are not there are lost too. ``lost_bytes``: of the lost
+    ones."""
 
     def __init__(
         self, inner: Transport, config: FaultsConfig, seed: int, record: Callable[[Sent], None] | None = None
@@ -38,7 +39,7 @@ class FaultyTransport(Transport):
         super().__init__(inner.max_message_bytes, record)
         self.inner = inner
         self.config = config
-        self.lost = self.doubled = 0
+        self.lost = self.doubled = self.lost_bytes = 0
         self._rng = np.random.default_rng([seed, 0xFA])
         self._now_ns = 0
         self._number = 0
@@ -51,7 +52,7 @@ class FaultyTransport(Transport):
         config = self.config
         sent_ns = self._transmitted_ns(sender, len(data))
         if lost < config.loss or not reachable(config, sender, self._now_ns):
-            self.lost += 1
+            self._lose(data)
             return
         behind = 1 + int(disorder / config.reorder * _BEHIND) if disorder < config.reorder else 0
         copies = 1 + (doubled < config.duplicate)
@@ -68,8 +69,12 @@ class FaultyTransport(Transport):
             if reachable(self.config, held.recipient, self._now_ns):
                 self.inner.carry(held.sender, held.recipient, held.data)
                 break
-            self.lost += 1
+            self._lose(held.data)
         return self.inner.arrive()
+
+    def _lose(self, data: bytes) -> None:
+        self.lost += 1
+        self.lost_bytes += len(data)
 
     def advance(self, now_ns: int) -> None:
         self._now_ns = now_ns

@@ -109,6 +109,11 @@ def test_the_result_of_a_group_says_it(method, wrong):
     found = optimise_distributed(graph, SolverConfig(method=method, robust="gnc"))
     assert [(len(u.kept), len(u.rejected)) for u in found.undecided] == [(4, 4)] * bool(wrong)
     assert all(set(u.kept) | set(u.rejected) >= set(np.flatnonzero(bad).tolist()) for u in found.undecided)
+    # The elected robot, and no other, knows it by itself.
+    knows = {(u.kept, u.rejected) for outcome in found.outcomes.values() for u in outcome.undecided}
+    ends = [(e.i, e.j) for e in graph.edges]
+    said = {(tuple(ends[k] for k in u.kept), tuple(ends[k] for k in u.rejected)) for u in found.undecided}
+    assert knows == (said if method == "elected" else set())
     assert optimise_distributed(graph, SolverConfig(method=method)).undecided == ()
 
 

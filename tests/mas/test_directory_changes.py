@@ -182,5 +182,16 @@ def test_an_earlier_key_frame_is_not_verified_again_around_an_accepted_match() -
         (17, 1): "",
         (17, 3): "",
     }
-    # One that was told in its turn may still support the match before it.
-    assert agent.candidates.propose(Candidate(MatchId(2, 9, 1, 3), 0, 0.1))
+    # One that was told in its turn, whose answer comes late, lies as near.
+    assert not agent.candidates.propose(Candidate(MatchId(2, 9, 1, 3), 0, 0.1))
+
+
+def test_of_two_candidates_that_come_at_once_one_is_not_wanted_any_more_when_the_other_is_accepted() -> None:
+    agent = agent_of(2, 30)
+    first, second, apart = (MatchId(2, keyframe, 1, 3) for keyframe in (10, 12, 20))
+    assert all(agent.candidates.propose(Candidate(match, 0, 0.1)) for match in (first, second, apart))
+    assert agent.candidates.still_wanted(second)
+    agent.state.accepted |= {first}
+    assert not agent.candidates.still_wanted(second)
+    assert agent.candidates.by_id[second].check.reason == "close to an accepted match"
+    assert agent.candidates.still_wanted(apart)

@@ -59,6 +59,7 @@ def test_the_share_that_is_lost_or_doubled_is_the_one_set() -> None:
     arrived = len(everything(carrier))
     assert arrived == 4000 - carrier.lost + carrier.doubled
     # Four standard deviations of a binomial.
+    assert carrier.lost_bytes == carrier.lost * len(encode(examples()[0])), "all are as long"
     assert carrier.lost == pytest.approx(1200, abs=4 * np.sqrt(4000 * 0.3 * 0.7))
     assert carrier.doubled == pytest.approx(560, abs=4 * np.sqrt(2800 * 0.2 * 0.8))
     assert sum(c.messages for c in carrier.by_operation.values()) == 4000, "sent is sent"

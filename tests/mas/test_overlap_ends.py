@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 from factory import town
 
+from maslam.mas.config import FaultsConfig
 from maslam.mas.policies.presets import preset
 from maslam.mas.simulation import run
 
 
-def accepted(drifting: float, ends: bool, folder: Path) -> list[tuple[int, int]]:
+def accepted(drifting: float, ends: bool, folder: Path, delay_s: float = 0.0) -> list[tuple[int, int]]:
     """Own key-frames of all accepted matches of two agents that drive one after the other."""
-    config = preset("maslam")
+    config = preset("maslam").model_copy(update={"faults": FaultsConfig(delay_s=delay_s)})
     places = config.places.model_copy(update={"closing_ends": ends})
     manifest, sequences = town(2, 60, spacing_m=10.0, drifting=drifting)
     summary = run(manifest, sequences, config.model_copy(update={"places": places}), folder)
@@ -46,9 +47,19 @@ def test_where_odometry_drifts_what_was_skipped_is_verified_at_the_end(
 
 
 def test_no_two_say_the_same(drifting: dict[bool, list[tuple[int, int]]]) -> None:
-    new = [pair for pair in drifting[True] if pair not in drifting[False]]
-    for query, _ in new:
-        others = [q for q, _ in drifting[True] if q != query]
+    _apart(drifting[False], drifting[True])
+
+
+def test_nor_do_they_where_answers_come_late(tmp_path: Path) -> None:
+    """Ends are verified one after the other, however long that takes."""
+    before, after = (accepted(0.1, ends, tmp_path / str(ends), delay_s=0.4) for ends in (False, True))
+    assert set(before) < set(after)
+    _apart(before, after)
+
+
+def _apart(before: list[tuple[int, int]], after: list[tuple[int, int]]) -> None:
+    for query, _ in set(after) - set(before):
+        others = [q for q, _ in after if q != query]
         assert min(abs(query - q) for q in others) > 3
 
 

@@ -33,6 +33,7 @@ from .measured import frames_read, measured_on, table_note
 from .run_data import AgentData, RunData
 from .summary_table import who_decided, why_text
 from .truth_warnings import truth_sections
+from .undecided_warnings import undecided_sections
 
 MAX_MATCH_ROWS = 400
 
@@ -98,6 +99,7 @@ def sections(run: RunData) -> list[Section]:
     return [
         *truth_sections(run.summary),
         *warning_sections(run.summary),
+        *undecided_sections(run.summary),
         *_map(run),
         *coverage_sections(run.summary),
         _copies(run),

@@ -18,6 +18,7 @@ from .graph_warnings import graph_lines, odometry_lines
 from .measured import keyframes_measured_on, measured_on, odometry_measured_on
 from .position_lines import position_lines
 from .truth_warnings import truth_lines
+from .undecided_warnings import undecided_warnings
 
 SUMMARY = "summary.json"
 TIMING = "timing.json"
@@ -92,7 +93,7 @@ def table(summary: dict[str, Any], timing: dict[str, Any]) -> str:
     """The figures of Table 3.2 in columns for people."""
     agents, keyframes = counted(summary["agents"], "agent"), counted(summary["keyframes"], "key-frame")
     head = f"{who_decided(summary)}, seed {summary['seed']}, {agents}, {keyframes}"
-    warnings = [*truth_lines(summary), *graph_lines(summary)]
+    warnings = [*truth_lines(summary), *graph_lines(summary), *undecided_warnings(summary)]
     last = [
         *_matches(summary),
         *odometry_lines(summary),
