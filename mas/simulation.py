@@ -29,6 +29,7 @@ from .evaluation.earlier_map import EarlierMap
 from .evaluation.ground_truth import GroundTruthEvaluator
 from .evaluation.summarise import FinishedRun
 from .evaluation.summary import Summary, Timing
+from .manifest import AgentEntry, DescriptorEntry, Manifest
 from .output.earlier_run import EarlierRun, joined_manifest, joined_sequences, keep_earlier
 from .output.run_folder import Recorder
 from .output.saved_agent import SAVED, restore
@@ -36,7 +37,7 @@ from .output.whole_run import record_run, timeline_row
 from .policies.cluster_owners import centres_before
 from .policies.foreign import PolicyLike
 from .policies.presets import policy_of
-from .sequence import AgentEntry, AgentSequence, DescriptorEntry, Manifest
+from .sequence import AgentSequence
 from .state.agent_state import Ownership, Profile
 from .state.keyframe import KeyFrame, keyframes_of
 from .state.positions import not_used

@@ -14,7 +14,7 @@ from maslam.frontend.cameras.calibration_files import load_fields
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
 from maslam.mas.errors import MasError
-from maslam.mas.sequence import read_manifest
+from maslam.mas.manifest import read_manifest
 from maslam.tools import cli
 
 LAUGHS = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from maslam.mas.evaluation.summary import Summary, Timing
-from maslam.mas.sequence import Manifest
+from maslam.mas.manifest import Manifest
 
 MATCHES = {
     "time_s": "logical time at which the candidate was found, seconds",

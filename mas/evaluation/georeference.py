@@ -13,7 +13,7 @@ from maslam.backend.geometry import Array, Sim3, skew, so3_exp, umeyama
 
 from ..agent import Agent
 from ..config import MasConfig
-from ..sequence import Manifest
+from ..manifest import Manifest
 from ..state.positions import knows_positions
 from .ground_truth import groups_of
 from .summary import DatumFigures, GeoreferenceFigures, PositionFigures

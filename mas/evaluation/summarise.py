@@ -14,8 +14,9 @@ from maslam.backend.trajectory_error import TrajectoryError
 from ..agent import Agent
 from ..config import MasConfig
 from ..contracts.effects import Event
+from ..manifest import LeftOutEntry
 from ..protocol.ids import MatchId
-from ..sequence import AgentSequence, LeftOutEntry
+from ..sequence import AgentSequence
 from ..state.place_match import MatchOutcome
 from ..state.trajectories import frame_trajectory
 from ..transport.transport import TrafficCount, Transport

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
-from ..sequence import LeftOutEntry, LostEntry, MissingEntry
+from ..manifest import LeftOutEntry, LostEntry, MissingEntry
 from .earlier_figures import EarlierFigures
 from .load_figures import LoadFigures
 from .undecided_figures import UndecidedFigures

@@ -13,7 +13,8 @@ from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
 
-from ..sequence import AgentSequence, DescriptorEntry
+from ..manifest import DescriptorEntry
+from ..sequence import AgentSequence
 from ..state.keyframe import KeyFrame
 from .journal import EntryKind, read_journal
 from .observed import Observed, decode_observed

@@ -9,8 +9,9 @@ from pathlib import Path
 from ..agent import Agent
 from ..config import MasConfig
 from ..errors import MasError
+from ..manifest import AgentEntry, Manifest, read_manifest
 from ..policies.presets import policy_of
-from ..sequence import AgentEntry, AgentSequence, Manifest, load_agent, read_manifest
+from ..sequence import AgentSequence, load_agent
 from ..simulation import CommonProfile, coder_of, profile_of
 from ..state.agent_state import Ownership
 from ..state.keyframe import keyframes_of

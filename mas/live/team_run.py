@@ -12,9 +12,10 @@ from ..contracts.effects import Event
 from ..evaluation.ground_truth import GroundTruthEvaluator
 from ..evaluation.summarise import FinishedRun
 from ..evaluation.summary import Summary, Timing
+from ..manifest import Manifest
 from ..output.run_folder import Recorder
 from ..output.whole_run import record_run, timeline_row
-from ..sequence import AgentSequence, Manifest
+from ..sequence import AgentSequence
 from ..transport.transport import HandedOver, Transport
 from .journal import read_journal
 from .one_agent import inputs_of

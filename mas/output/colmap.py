@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from maslam.backend.geometry import Array, product, quat_wxyz_from_rotation, se3_inverse
 from maslam.backend.refitting import refit_points
 
+from ..manifest import CameraEntry
 from ..map_exchange.map_copy import MapCopy
-from ..sequence import CameraEntry
 from .fused_map import COLOURS, FusedMap
 from .one_place import one_place
 from .sightings import MapOwner, Sightings, sightings

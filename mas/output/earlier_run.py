@@ -16,7 +16,8 @@ from maslam._atomic import replacing
 from maslam._replaced import replaced
 
 from ..errors import MasError
-from ..sequence import AgentEntry, AgentSequence, Manifest, load_agent, read_manifest, write_manifest
+from ..manifest import AgentEntry, Manifest, read_manifest, write_manifest
+from ..sequence import AgentSequence, load_agent
 from .run_folder import EARLIER, SEQUENCES, SUMMARY
 from .saved_agent import SAVED, SavedAgent, read_saved
 

@@ -29,10 +29,11 @@ from ..contracts.effects import Event
 from ..errors import MasError
 from ..evaluation.ground_truth import GroundTruthEvaluator, MatchError, of_same_image
 from ..evaluation.summary import DatumFigures, Summary, Timing
+from ..manifest import MANIFEST, CameraEntry, Manifest
 from ..map_exchange.full_map import own_map
 from ..protocol.accounting import Traffic
 from ..protocol.ids import MatchId
-from ..sequence import GROUNDTRUTH, MANIFEST, AgentSequence, CameraEntry, Manifest
+from ..sequence import GROUNDTRUTH, AgentSequence
 from ..state.place_match import MatchOutcome
 from ..state.pose_graph import own_graph
 from ..state.trajectories import frame_trajectory, keyframe_trajectory

@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 
 from maslam.backend.geometry import Array
 
+from ..manifest import CameraEntry
 from ..map_exchange.map_copy import MapCopy
-from ..sequence import AgentSequence, CameraEntry
+from ..sequence import AgentSequence
 from ..state.keyframe import KeyFrame
 
 # A copied point is one of the owner's key-frame where it lies this near to it, as a share of its depth: copies are

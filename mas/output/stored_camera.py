@@ -7,7 +7,7 @@ import numpy as np
 
 from maslam.backend.geometry import Array, se3
 
-from ..sequence import CameraEntry, StoredCameraEntry
+from ..manifest import CameraEntry, StoredCameraEntry
 
 _HALF_PX = 0.5
 _PINHOLE, _OPENCV, _OPENCV_FISHEYE, _FULL_OPENCV, _FOV = 1, 4, 5, 6, 7

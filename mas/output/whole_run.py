@@ -11,8 +11,8 @@ from ..evaluation.georeference import datum_of, georeferences, position_figures
 from ..evaluation.ground_truth import GroundTruthEvaluator, groups_of
 from ..evaluation.summarise import FinishedRun, summarise
 from ..evaluation.summary import Summary
+from ..manifest import Manifest
 from ..protocol.accounting import Traffic
-from ..sequence import Manifest
 from ..transport.transport import Transport
 from .run_folder import Recorder, match_errors
 

@@ -16,7 +16,8 @@ from maslam.descriptors.errors import DescriptorError
 
 from ..config import MasConfig
 from ..errors import MasError
-from ..sequence import AgentSequence, Manifest
+from ..manifest import Manifest
+from ..sequence import AgentSequence
 
 _ITERATIONS = 30
 

@@ -16,9 +16,10 @@ from maslam.backend.pose_graph.graph import PoseGraph
 from maslam.frontend.files.trajectory import Trajectory, read_tum
 from maslam.mas.config import MasConfig
 from maslam.mas.evaluation.summary import Coverage, Summary, Timing
+from maslam.mas.manifest import AgentEntry, Manifest, read_manifest
 from maslam.mas.output.run_folder import later
 from maslam.mas.policies.presets import preset
-from maslam.mas.sequence import AgentEntry, AgentSequence, Manifest, load_sequences, read_manifest
+from maslam.mas.sequence import AgentSequence, load_sequences
 from maslam.tools.common.errors import ToolError
 from maslam.tools.common.options import read_settings
 from maslam.tools.report.run_data import RunData, read_run

@@ -21,9 +21,9 @@ from maslam.frontend.config import OdometryConfig
 from maslam.mas.config import MasConfig
 from maslam.mas.contracts.contract import CONTRACTOR_SENDS, MANAGER_SENDS, ContractState
 from maslam.mas.evaluation.summary import Summary, Timing
+from maslam.mas.manifest import Manifest
 from maslam.mas.output.run_folder import Recorder
 from maslam.mas.protocol.accounting import Traffic
-from maslam.mas.sequence import Manifest
 from maslam.tools.cli import COMMANDS
 from maslam.tools.common.options import leaves, option_name
 

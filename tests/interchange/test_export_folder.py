@@ -11,8 +11,8 @@ import pytest
 
 import maslam
 from maslam.backend.geometry import so3_exp
+from maslam.mas.manifest import CameraEntry, StoredCameraEntry
 from maslam.mas.output.stored_camera import stored_pixels
-from maslam.mas.sequence import CameraEntry, StoredCameraEntry
 from maslam.tools import cli
 from maslam.tools.interchange.rectified_pixels import rectified_pixels
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from maslam.frontend.datasets import open_dataset
-from maslam.mas.sequence import AgentEntry, CameraEntry
+from maslam.mas.manifest import AgentEntry, CameraEntry
 from maslam.tools.interchange.source_images import AgentImages
 
 

@@ -16,8 +16,9 @@ from maslam.descriptors.container import PlaceVectors
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.files.vo_files import VoTrack
 from maslam.mas.config import MasConfig
+from maslam.mas.manifest import AgentEntry, CameraEntry, DescriptorEntry, Manifest
 from maslam.mas.policies.presets import preset
-from maslam.mas.sequence import AgentEntry, AgentSequence, CameraEntry, DescriptorEntry, Manifest
+from maslam.mas.sequence import AgentSequence
 
 MODEL = "made-up"
 SHA256 = "ab" * 32

@@ -14,6 +14,7 @@ from maslam.mas.agent import Agent
 from maslam.mas.config import MasConfig
 from maslam.mas.contracts.effects import NOTHING, Effects
 from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
+from maslam.mas.manifest import Manifest
 from maslam.mas.policies.base import Outlook, Policy
 from maslam.mas.policies.presets import policy_of
 from maslam.mas.policies.query_all import QueryAll
@@ -21,7 +22,7 @@ from maslam.mas.protocol.messages import Message, Result, encode
 from maslam.mas.protocol.solver_messages import SolverBody
 from maslam.mas.protocol.tasks import VerifyAnswer
 from maslam.mas.protocol.tensors import pack_information, pack_sim3, unpack_poses
-from maslam.mas.sequence import AgentSequence, Manifest
+from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import Environment, make_agents, make_transport
 from maslam.mas.state.agent_state import AgentState, Profile
 from maslam.mas.state.keyframe import keyframes_of

@@ -12,8 +12,9 @@ from factory import circuit, make_sequence, make_world, manifest_of, town
 from maslam.backend.geometry import umeyama
 from maslam.frontend.files.trajectory import Trajectory, read_tum
 from maslam.mas.evaluation.coverage import frames_held, frames_read
+from maslam.mas.manifest import LeftOutEntry, LostEntry
 from maslam.mas.policies.presets import preset
-from maslam.mas.sequence import AgentSequence, LeftOutEntry, LostEntry
+from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import run
 
 DEFAULT = preset("default")

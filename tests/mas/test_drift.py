@@ -14,8 +14,9 @@ from factory import circuit, make_sequence, make_world, manifest_of
 from maslam._replaced import replaced
 from maslam.backend.geometry import Array, se3, se3_inverse, so3_exp
 from maslam.mas.evaluation.summary import Summary
+from maslam.mas.manifest import Manifest
 from maslam.mas.policies.presets import preset
-from maslam.mas.sequence import AgentSequence, Manifest
+from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import run
 from maslam.tools.report.graph_warnings import odometry_lines
 from maslam.tools.sweep.reference import make_reference

@@ -15,10 +15,11 @@ from maslam.backend.trajectory_error import trajectory_error
 from maslam.frontend.files.trajectory import read_tum
 from maslam.mas.errors import MasError
 from maslam.mas.evaluation.summary import Summary
+from maslam.mas.manifest import Manifest, read_manifest
 from maslam.mas.output.earlier_run import EarlierRun, joined_manifest, read_earlier_run
 from maslam.mas.output.saved_agent import SAVED, restore, saved
 from maslam.mas.policies.presets import preset
-from maslam.mas.sequence import AgentSequence, Manifest, read_manifest
+from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import make_agents, run
 from maslam.mas.state.keyframe import keyframes_of
 

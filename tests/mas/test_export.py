@@ -10,12 +10,12 @@ import pytest
 from factory import CAMERA, heading
 
 from maslam.backend.geometry import Array, Sim3, se3_inverse, so3_exp, transform_points
+from maslam.mas.manifest import StoredCameraEntry
 from maslam.mas.map_exchange.map_copy import MapCopy, SoldVersion
 from maslam.mas.output.colmap import write_colmap
 from maslam.mas.output.fused_map import FusedMap, fused, write_map
 from maslam.mas.output.sightings import MapOwner, OwnerViews
 from maslam.mas.protocol.ids import FrameId
-from maslam.mas.sequence import StoredCameraEntry
 from maslam.mas.state.keyframe import KeyFrame
 
 POSES = np.array([heading(0.0, 2.0 * k, 0.05 * k) for k in range(3)])

@@ -17,7 +17,8 @@ from test_sequence import write
 
 from maslam.backend.geometry import Array
 from maslam.frontend.files.trajectory import Trajectory
-from maslam.mas.sequence import MANIFEST, AgentSequence, LeftOutEntry, LostEntry, Manifest, write_manifest
+from maslam.mas.manifest import MANIFEST, LeftOutEntry, LostEntry, Manifest, write_manifest
+from maslam.mas.sequence import AgentSequence
 from maslam.tools import cli
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "concepts" / "losses.md"

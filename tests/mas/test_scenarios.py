@@ -13,9 +13,10 @@ from maslam.mas.agent import Agent
 from maslam.mas.config import FaultsConfig, MasConfig
 from maslam.mas.contracts.reputation import Trust
 from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator, groups_of
+from maslam.mas.manifest import Manifest
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
-from maslam.mas.sequence import AgentSequence, Manifest
+from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import Environment
 from maslam.mas.state.trajectories import keyframe_trajectory
 

@@ -15,7 +15,8 @@ from maslam.frontend.files.point_views import PointViews, write_views
 from maslam.frontend.files.trajectory import write_tum
 from maslam.frontend.files.vo_files import write_track
 from maslam.mas.errors import MasError
-from maslam.mas.sequence import GROUNDTRUTH, MANIFEST, PLACES, TRAJECTORY, AgentSequence, load_sequences, write_manifest
+from maslam.mas.manifest import MANIFEST, write_manifest
+from maslam.mas.sequence import GROUNDTRUTH, PLACES, TRAJECTORY, AgentSequence, load_sequences
 from maslam.mas.state.keyframe import keyframes_of
 
 

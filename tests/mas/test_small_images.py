@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from factory import town
 
+from maslam.mas.manifest import Manifest
 from maslam.mas.policies.presets import preset
-from maslam.mas.sequence import AgentSequence, Manifest
+from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import run
 
 

@@ -15,8 +15,8 @@ from maslam.frontend.cameras.lens import project
 from maslam.frontend.cameras.models import PinholeCamera, Rig, RigKind
 from maslam.frontend.cameras.rectification import _float_maps, common_camera
 from maslam.frontend.datasets import open_dataset
+from maslam.mas.manifest import CameraEntry, StoredCameraEntry
 from maslam.mas.output.stored_camera import colmap_model, stored_pixels
-from maslam.mas.sequence import CameraEntry, StoredCameraEntry
 from maslam.tools.pipeline.agent_folder import _stored, stand_in
 
 SIZE = (640, 480)

@@ -14,13 +14,14 @@ from maslam.backend.geometry import Sim3
 from maslam.mas.config import MasConfig
 from maslam.mas.contracts.contract import Contract
 from maslam.mas.contracts.effects import Effects
+from maslam.mas.manifest import Manifest
 from maslam.mas.place_recognition.candidates import Candidate
 from maslam.mas.place_recognition.verification import Verification
 from maslam.mas.place_recognition.wider_search import _CLOSING
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
 from maslam.mas.protocol.tasks import VerifyAnswer
-from maslam.mas.sequence import AgentSequence, Manifest
+from maslam.mas.sequence import AgentSequence
 from maslam.mas.simulation import make_agents, run
 from maslam.mas.state.keyframe import keyframes_of
 from maslam.mas.state.place_match import Match, MatchEnd

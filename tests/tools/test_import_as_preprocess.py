@@ -15,7 +15,7 @@ import maslam
 from maslam.errors import MaslamError
 from maslam.frontend.files.trajectory import read_kitti_poses
 from maslam.frontend.files.vo_files import read_tracks
-from maslam.mas.sequence import read_manifest
+from maslam.mas.manifest import read_manifest
 from maslam.tools import cli
 
 fcntl = pytest.importorskip("fcntl")

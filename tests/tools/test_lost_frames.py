@@ -19,7 +19,7 @@ from maslam.frontend.errors import ImageSizeError
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.frontend.tracking.pose_log import LostInterval
 from maslam.frontend.vocabulary.vocabulary import Vocabulary
-from maslam.mas.sequence import LostEntry
+from maslam.mas.manifest import LostEntry
 from maslam.tools.pipeline.agent_folder import lost_frames, with_images
 from maslam.tools.pipeline.tracking import OTHER_SIZE, UNREADABLE, lost_gap, track
 from maslam.tools.pipeline.tracking_cache import load_tracked, save_tracked

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from maslam.mas.sequence import read_manifest
+from maslam.mas.manifest import read_manifest
 from maslam.tools import cli
 from tests.tools.test_preprocess import known_front_end, preprocess, write_agent
 

@@ -28,7 +28,7 @@ def code_digest(*parts: str) -> str:
 
 def sequences_digest(folder: Path) -> str:
     """Of a SEQS folder: its manifest and everything its agents are given."""
-    from maslam.mas.sequence import MANIFEST
+    from maslam.mas.manifest import MANIFEST
 
     files = [path for path in folder.glob("agent_*/*") if path.is_file()]
     return digest_of([folder / MANIFEST, *files], folder)

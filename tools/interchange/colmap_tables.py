@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam.backend.geometry import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, se3
-from maslam.mas.sequence import CameraEntry
+from maslam.mas.manifest import CameraEntry
 
 from ..common.errors import ToolError
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
     from maslam.frontend.datasets.base import Dataset, ImageSequence
     from maslam.frontend.datasets.poses_of_images import GivenPoses
-    from maslam.mas.sequence import AgentEntry, Manifest
+    from maslam.mas.manifest import AgentEntry, Manifest
 
     from .given_job import GivenJob
     from .given_points import GivenPoints
@@ -222,7 +222,7 @@ def _points(settings: ImportSettings, sequence: ImageSequence, given: GivenPoses
 
 def _earlier(out: Path, images: Path, settings: ImportSettings) -> Manifest | None:
     """The agents that ``out`` holds and keeps."""
-    from maslam.mas.sequence import MANIFEST, read_manifest
+    from maslam.mas.manifest import MANIFEST, read_manifest
 
     if not settings.add or not (out / MANIFEST).is_file():
         return None

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from maslam.backend.geometry import product, se3_inverse
-from maslam.mas.sequence import CameraEntry
+from maslam.mas.manifest import CameraEntry
 
 from .colmap_tables import HALF_PX, ModelParts
 from .point_cloud import write_points

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maslam.backend.geometry import Array, se3_inverse
-from maslam.mas.sequence import CameraEntry
+from maslam.mas.manifest import CameraEntry
 
 from ..common.progress import Progress
 from .colmap_tables import ModelParts, write_model

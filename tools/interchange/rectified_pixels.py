@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from maslam.backend.geometry import Array
+from maslam.mas.manifest import CameraEntry
 from maslam.mas.output.stored_camera import stored_pixels, turn_to_stored
-from maslam.mas.sequence import CameraEntry
 
 _STEPS = 30
 _CLOSE_PX = 1e-4

@@ -18,7 +18,7 @@ import numpy as np
 
 from maslam.backend.geometry import Array
 from maslam.frontend.files.trajectory import NS_PER_S
-from maslam.mas.sequence import CameraEntry
+from maslam.mas.manifest import CameraEntry
 
 from ..common.errors import ToolError
 from ..common.progress import Progress

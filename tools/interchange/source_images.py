@@ -17,7 +17,8 @@ from maslam.frontend.datasets.reading_config import ReadingConfig
 from maslam.frontend.datasets.stored_image import name_in
 from maslam.frontend.errors import FrontendError
 from maslam.frontend.recording_config import RecordingConfig
-from maslam.mas.sequence import STAMP_TOLERANCE_NS, AgentEntry, Manifest
+from maslam.mas.manifest import AgentEntry, Manifest
+from maslam.mas.sequence import STAMP_TOLERANCE_NS
 
 from ..common.errors import ToolError
 from ..pipeline.focal_length import with_focal

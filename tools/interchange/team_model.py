@@ -18,9 +18,9 @@ from scipy.sparse.csgraph import connected_components
 from maslam.backend.geometry import Array, product, se3_inverse
 from maslam.backend.refitting import refit_points
 from maslam.frontend.files.trajectory import read_tum
+from maslam.mas.manifest import CameraEntry
 from maslam.mas.output.run_folder import later
 from maslam.mas.output.stored_camera import turn_to_stored
-from maslam.mas.sequence import CameraEntry
 
 from ..common.errors import ToolError
 from ..report.run_data import RunData

@@ -30,7 +30,8 @@ from maslam.mas.live.restart import resume
 from maslam.mas.live.revisits import Revisits
 from maslam.mas.live.team_pose import LatestFrame, PlacedKeyFrames, TeamMap, TeamPose
 from maslam.mas.live.topic_writer import TopicWriter
-from maslam.mas.sequence import AgentEntry, AgentSequence, CameraEntry, Manifest
+from maslam.mas.manifest import AgentEntry, CameraEntry, Manifest
+from maslam.mas.sequence import AgentSequence
 
 from ..common.errors import ToolError
 from ..pipeline.descriptor_entry import descriptor_entry

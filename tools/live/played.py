@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from maslam.frontend.files.trajectory import Trajectory
 from maslam.mas.live.credentials import name_of_agent
 from maslam.mas.live.live_sequence import observed_in, sequence_of
-from maslam.mas.sequence import AgentSequence, LostEntry
+from maslam.mas.manifest import LostEntry
+from maslam.mas.sequence import AgentSequence
 
 from ..pipeline.descriptor_entry import descriptor_entry
 

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from maslam._kernels import TypedKernel
     from maslam.descriptors.base import PlaceDescriptor
     from maslam.frontend.datasets.base import ImageSequence
-    from maslam.mas.sequence import AgentSequence, Manifest
+    from maslam.mas.manifest import Manifest
+    from maslam.mas.sequence import AgentSequence
 
 
 class PlayedTeam(ABC):
@@ -138,7 +139,7 @@ class LiveTeam(PlayedTeam):
 
     def _manifest(self, speed: float) -> Manifest:
         from maslam.mas.live.credentials import name_of_agent
-        from maslam.mas.sequence import AgentEntry, CameraEntry, Manifest
+        from maslam.mas.manifest import AgentEntry, CameraEntry, Manifest
 
         from ..pipeline.descriptor_entry import descriptor_entry
 

@@ -58,8 +58,8 @@ def main(arguments: argparse.Namespace) -> None:
     from maslam.mas.config import MasConfig
     from maslam.mas.live.config import LINKS
     from maslam.mas.live.one_agent import check_live
+    from maslam.mas.manifest import MANIFEST, read_manifest
     from maslam.mas.output.run_folder import check_out
-    from maslam.mas.sequence import MANIFEST, read_manifest
 
     from ..common.writing import writing
     from ..pipeline.earlier_result import check_same_run, of_manifest

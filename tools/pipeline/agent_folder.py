@@ -29,11 +29,8 @@ from maslam.frontend.files.point_views import write_views
 from maslam.frontend.files.positions import POSITIONS, write_positions
 from maslam.frontend.files.trajectory import NS_PER_S, Trajectory, write_tum
 from maslam.frontend.files.vo_files import VoTrack, write_track
-from maslam.mas.sequence import (
-    GROUNDTRUTH,
+from maslam.mas.manifest import (
     MANIFEST,
-    PLACES,
-    TRAJECTORY,
     AgentEntry,
     CameraEntry,
     LeftOutEntry,
@@ -44,6 +41,7 @@ from maslam.mas.sequence import (
     StoredCameraEntry,
     write_manifest,
 )
+from maslam.mas.sequence import GROUNDTRUTH, PLACES, TRAJECTORY
 
 from ..common.text_table import kinds_text
 from .descriptor_entry import descriptor_entry

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from maslam.descriptors.base import PlaceDescriptor
-from maslam.mas.sequence import DescriptorEntry
+from maslam.mas.manifest import DescriptorEntry
 
 
 def descriptor_entry(model: PlaceDescriptor) -> DescriptorEntry:

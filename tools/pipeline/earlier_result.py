@@ -13,7 +13,7 @@ from ..common.errors import EarlierResultError
 
 if TYPE_CHECKING:
     from maslam.mas.config import MasConfig
-    from maslam.mas.sequence import Manifest
+    from maslam.mas.manifest import Manifest
 
 BEGUN = "unfinished.json"  # in a SEQS folder that is being made: its source and settings
 

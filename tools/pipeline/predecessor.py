@@ -32,7 +32,8 @@ from .sequences_folder import begun, check_free, sequences_made_of
 from .tracking import Gap, Tracked
 
 if TYPE_CHECKING:
-    from maslam.mas.sequence import AgentSequence, Manifest
+    from maslam.mas.manifest import Manifest
+    from maslam.mas.sequence import AgentSequence
 
 FEATURES = "netvlad_feats.bin"
 SEQUENCES = "sequences"  # in OUT: what was made of the images or files
@@ -101,7 +102,8 @@ def sequences_for(
 ) -> tuple[Manifest, list[AgentSequence]]:
     """What a run on ``folder`` plays: the agent sequences in it, or those made from the predecessor's files into
     ``out/sequences``."""
-    from maslam.mas.sequence import MANIFEST, load_sequences
+    from maslam.mas.manifest import MANIFEST
+    from maslam.mas.sequence import load_sequences
 
     if (folder / MANIFEST).is_file() or not is_predecessor(folder):
         return load_sequences(folder)
@@ -123,7 +125,7 @@ def import_folder(
     ``scale``: the unit of its poses; ``agents``: cut one sequence for so many, which share ``overlap`` key-frames;
     ``overwrite``: replace what ``out`` holds of another folder or with other settings.
     """
-    from maslam.mas.sequence import SplitEntry
+    from maslam.mas.manifest import SplitEntry
 
     from .agent_folder import plan_agents, write_sequences
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from maslam.descriptors.base import PlaceDescriptor
     from maslam.descriptors.choice import DescriptorLike
     from maslam.frontend.datasets.base import Dataset, ImageSequence
-    from maslam.mas.sequence import Manifest, SplitEntry
+    from maslam.mas.manifest import Manifest, SplitEntry
 
     from .agent_folder import SharePlan
     from .tracking import Tracked
@@ -190,7 +190,7 @@ def all_agents(
 
 def split_of(settings: PreprocessSettings) -> SplitEntry | None:
     """How one sequence is cut into agents; None: not at all."""
-    from maslam.mas.sequence import SplitEntry
+    from maslam.mas.manifest import SplitEntry
 
     return SplitEntry(agents=settings.agents, overlap=settings.overlap) if settings.agents is not None else None
 

@@ -17,8 +17,8 @@ from ..common.yaml_lines import place_of
 
 if TYPE_CHECKING:
     from maslam.mas.config import LinkConfig, MasConfig
+    from maslam.mas.manifest import Manifest
     from maslam.mas.output.earlier_run import EarlierRun
-    from maslam.mas.sequence import Manifest
 
 DEFAULT_PRESET = "maslam"
 

@@ -14,14 +14,14 @@ from ..common.errors import ToolError
 from .earlier_result import BEGUN
 
 if TYPE_CHECKING:
-    from maslam.mas.sequence import SplitEntry
+    from maslam.mas.manifest import SplitEntry
 
 FRONTEND = "frontend"  # in OUT: what the front end made of each sequence
 
 
 def check_free(out: Path) -> None:
     """Refuse a folder with somebody else's files in it."""
-    from maslam.mas.sequence import MANIFEST
+    from maslam.mas.manifest import MANIFEST
 
     ours = (out / FRONTEND).is_dir() or (out / MANIFEST).is_file() or (out / BEGUN).is_file()
     if out.is_dir() and any(out.iterdir()) and not ours:

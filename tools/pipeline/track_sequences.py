@@ -13,7 +13,7 @@ from .tracking_plan import TrackingPlan
 
 if TYPE_CHECKING:
     from maslam.frontend.datasets.base import Dataset, ImageSequence
-    from maslam.mas.sequence import LeftOutEntry
+    from maslam.mas.manifest import LeftOutEntry
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def track_all(
     """Do ``work``, which leaves a job's result in its store, for the jobs of ``plan``; ``ray``: on the Ray cluster of
     this address. :class:`ToolError` where no sequence can be used."""
     from maslam.frontend.kernels import odometry_kernels
-    from maslam.mas.sequence import LeftOutEntry
+    from maslam.mas.manifest import LeftOutEntry
 
     from ..common.cluster import run_on_cluster
     from ..common.compiling import compile_for

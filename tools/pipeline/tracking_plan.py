@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from maslam.mas.sequence import LeftOutEntry
+from maslam.mas.manifest import LeftOutEntry
 
 from ..checks.findings import look_at_sample
 from .tracking_cache import TrackingJob

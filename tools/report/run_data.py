@@ -17,8 +17,9 @@ from maslam.backend.geometry import Sim3
 from maslam.backend.trajectory_error import trajectory_error
 from maslam.frontend.files.trajectory import TRUTH_TOLERANCE_NS, Trajectory, read_tum
 from maslam.mas.evaluation.ground_truth import MIN_POSES
+from maslam.mas.manifest import Manifest, read_manifest
 from maslam.mas.output.run_folder import later
-from maslam.mas.sequence import GROUNDTRUTH, TRAJECTORY, Manifest, read_manifest
+from maslam.mas.sequence import GROUNDTRUTH, TRAJECTORY
 
 from ..common.errors import ToolError
 from .summary_table import read_summary, read_timing

@@ -25,11 +25,12 @@ from maslam.backend.geometry import Sim3
 from maslam.backend.pose_graph.graph import Edge, NodeId, PoseGraph, spread_poses
 from maslam.mas.config import MasConfig
 from maslam.mas.evaluation.ground_truth import GroundTruthEvaluator
+from maslam.mas.manifest import Manifest
 from maslam.mas.place_recognition.comparison import match_end, verify, view_of
 from maslam.mas.place_recognition.own_loops import candidates_below
 from maslam.mas.policies.presets import preset
 from maslam.mas.protocol.ids import MatchId
-from maslam.mas.sequence import AgentSequence, Manifest, load_sequences
+from maslam.mas.sequence import AgentSequence, load_sequences
 from maslam.mas.simulation import make_agents
 from maslam.mas.state.agent_state import AgentState
 from maslam.mas.state.keyframe import keyframes_of
