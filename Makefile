@@ -14,8 +14,11 @@ DEV := $(VENV)/.dev-installed
 demo: $(WORLDS)
 	$(BIN)/maslam demo --out $(OUT)
 
+# Two processes on two cores: more threads of linear algebra only wait for each other.
+test: export OMP_NUM_THREADS ?= 1
+test: export OPENBLAS_NUM_THREADS ?= 1
 test: lint
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(DEV)
 	$(BIN)/ruff check
