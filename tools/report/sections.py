@@ -25,6 +25,7 @@ from .charts import (
     traffic_matrix,
 )
 from .coverage_table import coverage_sections, in_one_frame, percent_text
+from .earlier_lines import earlier_sections
 from .graph_warnings import warning_sections
 from .html import Section, Tile, legend, table
 from .load_table import load_table
@@ -101,6 +102,7 @@ def sections(run: RunData) -> list[Section]:
         *warning_sections(run.summary),
         *undecided_sections(run.summary),
         *_map(run),
+        *earlier_sections(run.summary),
         *coverage_sections(run.summary),
         _copies(run),
         _errors(run),
