@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,39 @@ from .similarity_edges import Descended, SimilarityEdges
 
 # Columns solved at a time, and most edges beside the steps whose share of the freedom is computed.
 _COLUMNS, _MOST_EDGES = 16, 60
+# Newton's steps at most; a step that ends them, as a share of the unknowns' deviation before anything is known.
+_ROUNDS, _SETTLED = 6, 1e-3
+
+
+class SharedUnknowns(Protocol):
+    """F's second-order model in unknowns that many edges share, at poses that are best for them."""
+
+    def change(self) -> Array:
+        """Newton's step of the unknowns, in their shape."""
+        ...
+
+
+Model = TypeVar("Model", bound=SharedUnknowns)
+
+
+def refined(
+    at: Model,
+    values: Array,
+    found: Descended,
+    minimum: Callable[[Array, Descended], Descended],
+    model: Callable[[Array, Descended], Model],
+    sigma: float,
+) -> tuple[Array, Descended, Model]:
+    """Newton's method on shared unknowns alone, from the model ``at`` of ``values`` and ``found``; ``minimum``: the
+    poses that F is least at for other values; ``sigma``: the unknowns' deviation before anything is known."""
+    for _ in range(_ROUNDS):
+        change = at.change()
+        values = values + change
+        found = minimum(values, found)
+        at = model(values, found)
+        if np.abs(change).max() < _SETTLED * sigma:
+            break
+    return values, found, at
 
 
 class AtMinimum:

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry import Array, product
-from .at_minimum import AtMinimum, log_odds
-from .lengths import CLEAR, FITTING, ROUNDS, SETTLED, Lengths, minimum_from, with_lengths
+from .at_minimum import AtMinimum, log_odds, refined
+from .lengths import CLEAR, FITTING, Lengths, minimum_from, with_lengths
 from .linear import turn_derivatives
 from .odometry_steps import OdometrySteps
 from .similarity_edges import Descended, SimilarityEdges
@@ -81,17 +81,18 @@ def _with_headings(
     steps: OdometrySteps,
     freedom: int,
 ) -> tuple[Descended, Headings]:
-    rates, now = np.zeros((steps.count, 3)), found
-    at = _InRates(edges, now, held, kept, steps, rates)
+    rates = np.zeros((steps.count, 3))
+    at = _InRates(edges, found, held, kept, steps, rates)
     if at.evidence(1.0) <= CLEAR:
         return found, Headings(False, rates, at.evidence(1.0))
-    for _ in range(ROUNDS):
-        change = at.change()
-        rates = rates + change
-        now = minimum_from(steps.turned(edges, rates), now, held, kept)
-        at = _InRates(edges, now, held, kept, steps, rates)
-        if np.abs(change).max() < SETTLED * steps.turning:
-            break
+    rates, now, at = refined(
+        at,
+        rates,
+        found,
+        lambda values, best: minimum_from(steps.turned(edges, values), best, held, kept),
+        lambda values, best: _InRates(edges, best, held, kept, steps, values),
+        steps.turning,
+    )
     noise, _, others = at.noise(freedom)
     evidence = at.evidence(float(np.nanmax([1.0, noise, others])) ** 2)
     if evidence <= CLEAR or others > FITTING:

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.linalg import null_space
 
 from ..geometry import Array, product, skew
-from .at_minimum import AtMinimum, log_odds
+from .at_minimum import AtMinimum, log_odds, refined
 from .odometry_steps import OdometrySteps, measured_shifts, seen_shifts
 from .similarity_edges import Descended, SimilarityEdges, descend
 from .trust_region import newton
@@ -42,9 +42,6 @@ CLEAR = 2.0
 _WANDERING = 2.5
 # Noise of loops and separators over what they state, beyond which they tell nothing of lengths.
 FITTING = 1.3
-ROUNDS = 6
-# A factor's last change, as a share of its deviation before anything is known.
-SETTLED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +76,14 @@ def with_lengths(
     at = _Linear(edges, found, held, kept, steps, factors)
     if freedom <= 0 or at.evidence(1.0) <= CLEAR:
         return found, Lengths(False, factors, at.doubt(), at.evidence(1.0), float("nan"), 0.0)
-    now = found
-    for _ in range(ROUNDS):
-        change = at.change()
-        factors = factors + change
-        now = minimum_from(steps.stretched(edges, factors), now, held, kept)
-        at = _Linear(edges, now, held, kept, steps, factors)
-        if np.abs(change).max() < SETTLED * steps.sigma:
-            break
+    factors, now, at = refined(
+        at,
+        factors,
+        found,
+        lambda values, best: minimum_from(steps.stretched(edges, values), best, held, kept),
+        lambda values, best: _Linear(edges, best, held, kept, steps, values),
+        steps.sigma,
+    )
     noise, steps_freedom, others = at.noise(freedom)
     evidence = at.evidence(max(_WANDERING, noise, others) ** 2)
     # Matches that do not fit each other, as a liar's, are no evidence of lengths.

@@ -54,6 +54,10 @@ class Publisher:
     def _config(self) -> MergeConfig:
         return self.state.config.merge
 
+    def count_on(self, version: MapVersion) -> None:
+        """The next version counts on from this one of an earlier run."""
+        self.published, self.recent = version, {version.map.version: version.map}
+
     def latest(self, closing: bool) -> MapVersion | None:
         """The map to sell now, None while there is none. On the way a new version waits for ``version_keyframes`` new
         key-frames or new coordinates; at the end any change makes one."""

@@ -45,8 +45,7 @@ class Seller:
 
     def count_on(self, version: MapVersion) -> None:
         """The next version counts on from this one of an earlier run."""
-        self._publisher.published = version
-        self._publisher.recent = {version.map.version: version.map}
+        self._publisher.count_on(version)
 
     @property
     def _compact(self) -> bool:

@@ -60,13 +60,19 @@ class Watch:
         self._topics.__exit__(kind, error, trace)
 
     def next(self, wait_s: float = 1.0) -> AgentPose | AgentMap | None:
-        """The next pose or map that came; None when there is none after ``wait_s``, seconds."""
+        """The next pose or map that came; None when there is none after ``wait_s``, seconds, or only what is not
+        believed."""
         until_s = time.monotonic() + wait_s
         while (came := self._topics.receive(max(until_s - time.monotonic(), 0.0))) is not None:
             found = self._reader.take(LiveTopic(came.topic), came.agent, came.data)
-            if found is not None:
+            if found is not None or time.monotonic() >= until_s:
                 return found
         return None
+
+    @property
+    def dropped(self) -> int:
+        """Samples that came faster than :meth:`next` took them, the newest ones."""
+        return self._topics.dropped
 
     @property
     def refused(self) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from factory import circuit, make_sequence, make_world, manifest_of
+from msgspec import structs
 from test_sequence import write
 
 from maslam.backend.trajectory_error import trajectory_error
@@ -149,8 +150,21 @@ def test_an_agent_is_restored_as_it_was(runs: Runs) -> None:
         np.testing.assert_array_equal(again.matches.information.array(), known.matches.information.array())
         assert [c.parcel.patches[-1].check for c in again.copies] == [c.parcel.patches[-1].check for c in known.copies]
         assert agent.state.accepted and not agent.pending.matches
+        assert again.published == known.published, "the next version of its map counts on"
+        told = agent.places.sent_queries.unsent(9)
+        assert told == [k.index for k in agent.state.keyframes if k.textured], "as an agent that takes over is told"
         if config.merge.form == "compact":
             assert len(known.copies) == 1 and known.published is not None
+
+
+def test_whom_an_agent_distrusted_it_distrusts_still(runs: Runs) -> None:
+    earlier = runs.earlier()
+    agent = make_agents(earlier.manifest, earlier.sequences, preset(runs.first.preset))[0]
+    known = structs.replace(earlier.known[0], distrusted=(1,))
+    restore(agent, keyframes_of(earlier.sequences[0]), known, "it")
+    assert agent.state.distrusted == {1}
+    assert any(m.match_agent == 1 for m in known.used), "which it used before, as the other had computed them"
+    assert not any(m.match_agent == 1 for m in agent.state.accepted)
 
 
 def test_a_third_run_goes_onto_the_second(runs: Runs) -> None:
