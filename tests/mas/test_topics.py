@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from memory_links import MemoryLink, MemoryNetwork
 
 import maslam
+from maslam.api import watch as watch_module
 from maslam.mas.live import topic_writer as topic_writer_module
 from maslam.mas.live.authority import make_team, revoke
 from maslam.mas.live.credentials import Credentials
@@ -35,6 +36,7 @@ from maslam.mas.live.topics import (
     topics_named,
 )
 from maslam.mas.protocol.ids import FrameId
+from maslam.mas.transport.zenoh_topics import TopicArrived
 
 pytest.importorskip("cryptography", reason="the extra 'network' is not installed")
 
@@ -115,6 +117,32 @@ def test_topics_go_by_their_names(folders: list[Path]) -> None:
         topics_named(["poses"])
     with pytest.raises(maslam.MaslamError, match="no topic 'x'"):
         maslam.Watch(folders[3], topics=["x"])  # type: ignore[list-item]
+
+
+class Flood:
+    """Topics on which somebody puts what nobody believes, without end."""
+
+    dropped = 7
+
+    def __init__(self, clock: Clock) -> None:
+        self.taken, self._clock = 0, clock
+
+    def receive(self, wait_s: float) -> TopicArrived:
+        self.taken += 1
+        self._clock.now += 0.1
+        assert self.taken < 1000, "it would go on for ever"
+        return TopicArrived("pose", 0, b"nothing")
+
+
+def test_a_listener_gets_its_time_back_from_a_flood(
+    folders: list[Path], clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watch_module, "time", clock)
+    watch, flood = maslam.Watch(folders[3]), Flood(clock)
+    monkeypatch.setattr(watch, "_topics", flood)
+    assert watch.next(1.0) is None
+    assert watch.refused == flood.taken <= 11 and "cannot be read" in watch.reason
+    assert watch.dropped == 7
 
 
 def test_nothing_is_sent_where_nobody_listens(folders: list[Path], link: MemoryLink, clock: Clock) -> None:
